@@ -1,0 +1,25 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+#include <vector>
+
+namespace bezier_fem
+{
+/** A triangle mesh, as a file gives it or as the boundary of a tetrahedral mesh. */
+struct SurfaceMesh
+{
+  Eigen::Matrix3Xd points;     // 3 x points, m (file units when read)
+  Eigen::Matrix3Xi triangles;  // 3 x triangles, columns of point indices, counter-clockwise seen from outside
+};
+
+/**
+ * Reads .off, .obj, .stl or .ply. Points at identical positions are merged, so that an .stl is connected too.
+ * @throws InputError, naming the file and what is wrong with it.
+ */
+SurfaceMesh readSurfaceMesh(const std::string& path);
+
+/** True if the file name's extension is one that readSurfaceMesh() reads. */
+bool isSurfaceFile(const std::string& path);
+
+}  // namespace bezier_fem
