@@ -1,0 +1,36 @@
+#pragma once
+
+#include "bezier_fem/model.h"
+#include "bezier_fem/nodal_field.h"
+#include "bezier_fem/partition.h"
+#include "bezier_fem/rotation.h"
+
+/**
+ * The elastic force, the stiffness and the mass of a body as functions of fields, never as matrices: rotating the four
+ * gradients of an element rotates its whole stiffness, K'_IJ = R K_IJ R^T, so twelve numbers an element are all that a
+ * step changes. Integrals are exact (products of Bernstein polynomials; Weber et al. 2011, Eq. 20-21, with the
+ * exponents of G decremented, which the paper's last formula of section 5.2 omits).
+ *
+ * K' is the stiffness with the rotations held: symmetric, positive semidefinite in every state, and not the derivative
+ * of the elastic force, which would have terms of the turning rotations too.
+ *
+ * `out` has partition.rows() rows; rows after the last node are scratch.
+ */
+namespace bezier_fem
+{
+/** out = f_el(x) = K' x - f_0, N: the force that the body exerts against its deformation (Weber et al. 2011, Eq. 19). */
+void elasticForce(const Model& model, const Partition& partition, const Rotations& rotations, const NodalField& x,
+                  NodalField& out);
+
+/** out = (alpha M + beta K') u. */
+void systemProduct(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
+                   double beta, const NodalField& u, NodalField& out);
+
+/**
+ * The 3x3 diagonal blocks of alpha M + beta K'.
+ * @param blocks  8 doubles a row, partition.rows() rows: xx, xy, xz, yy, yz, zz of each block and two unused
+ */
+void systemDiagonal(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
+                    double beta, AlignedVector<double>& blocks);
+
+}  // namespace bezier_fem

@@ -1,0 +1,149 @@
+#include "bezier_fem/conjugate_gradient.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+#include "kernels.h"
+#include "parallel.h"
+
+namespace bezier_fem
+{
+namespace
+{
+constexpr int PARTIAL_STRIDE = 8;  // a cache line a thread
+
+/** Inverse of the block over the axes that are free, zero elsewhere. */
+Eigen::Matrix3d invertFree(const double* d, std::uint8_t held)
+{
+  Eigen::Matrix3d block;
+  block << d[0], d[1], d[2], d[1], d[3], d[4], d[2], d[4], d[5];
+  for (int axis = 0; axis < 3; ++axis)
+  {
+    if (!(held >> axis & 1)) continue;
+    block.row(axis).setZero();
+    block.col(axis).setZero();
+    block(axis, axis) = 1;
+  }
+  Eigen::Matrix3d inverse = block.inverse();
+  for (int axis = 0; axis < 3; ++axis)
+  {
+    if (held >> axis & 1) inverse(axis, axis) = 0;
+  }
+  return inverse;
+}
+}  // namespace
+
+ConjugateGradient::ConjugateGradient(const Model& model, const Partition& partition)
+  : diagonal_(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * partition.rows())
+  , inverse_(static_cast<std::size_t>(kernels::INVERSE_STRIDE) * model.num_nodes)
+  , r_(partition.rows())
+  , z_(model.num_nodes)
+  , p_(model.num_nodes)
+  , q_(partition.rows())
+  , partial_(static_cast<std::size_t>(partition.threads()) * PARTIAL_STRIDE)
+{
+}
+
+template <class F>
+double ConjugateGradient::sumOverThreads(const Partition& partition, const F& f)
+{
+  forEachThread(partition, [&](int t) {
+    partial_[static_cast<std::size_t>(t) * PARTIAL_STRIDE] = f(partition.nodeBegin(t), partition.nodeEnd(t));
+  });
+  double sum = 0;
+  for (int t = 0; t < partition.threads(); ++t) sum += partial_[static_cast<std::size_t>(t) * PARTIAL_STRIDE];
+  return sum;
+}
+
+void ConjugateGradient::prepare(const Model& model, const Partition& partition, const Rotations& rotations,
+                                const HeldAxes& held, double alpha, double beta, double load_floor)
+{
+  alpha_ = alpha;
+  beta_ = beta;
+  systemDiagonal(model, partition, rotations, alpha, beta, diagonal_);
+  const double sum = sumOverThreads(partition, [&](int begin, int end) {
+    double floor2 = 0;
+    for (int i = begin; i < end; ++i)
+    {
+      const Eigen::Matrix3d inverse =
+          invertFree(diagonal_.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i, held[i]);
+      double* out = inverse_.data() + static_cast<std::ptrdiff_t>(kernels::INVERSE_STRIDE) * i;
+      for (int axis = 0; axis < 3; ++axis) Eigen::Map<Eigen::Vector3d>(out + 4 * axis) = inverse.col(axis);
+      // M times a uniform field of ones: the integral of rho B_I.
+      floor2 += model.node_mass[i] * model.node_mass[i] * inverse.trace() / 3;
+    }
+    return floor2;
+  });
+  floor_ = load_floor * std::sqrt(sum);
+}
+
+double ConjugateGradient::norm(const Partition& partition, const NodalField& r)
+{
+  return std::sqrt(sumOverThreads(partition, [&](int begin, int end) {
+    double sum = 0;
+    for (int i = begin; i < end; ++i)
+    {
+      const double* c = inverse_.data() + static_cast<std::ptrdiff_t>(kernels::INVERSE_STRIDE) * i;
+      const auto v = r[i];
+      for (int axis = 0; axis < 3; ++axis) sum += v[axis] * Eigen::Map<const Eigen::Vector3d>(c + 4 * axis).dot(v);
+    }
+    return sum;
+  }));
+}
+
+SolveReport ConjugateGradient::solve(const Model& model, const Partition& partition, const Rotations& rotations,
+                                     const NodalField& b, NodalField& u, double tolerance, int max_iterations)
+{
+  const kernels::Table& kernel = kernels::table();
+  const double scale = std::max(norm(partition, b), floor_);
+  SolveReport report;
+  if (!(scale > 0) || !std::isfinite(scale))
+  {
+    // Nothing is free, or nothing is finite.
+    u.setZero();
+    r_.matrix().leftCols(model.num_nodes) = b.matrix().leftCols(model.num_nodes);
+    report.converged = scale == 0;
+    report.residual = scale;
+    return report;
+  }
+  while (true)
+  {
+    systemProduct(model, partition, rotations, alpha_, beta_, u, q_);
+    forEachThread(partition, [&](int t) {
+      const int begin = partition.nodeBegin(t), count = partition.nodeEnd(t) - begin;
+      r_.matrix().middleCols(begin, count) = b.matrix().middleCols(begin, count) - q_.matrix().middleCols(begin, count);
+      z_.matrix().middleCols(begin, count).setZero();
+      p_.matrix().middleCols(begin, count).setZero();
+    });
+    // With a step of zero, advance() leaves r and sets z.
+    double rz = sumOverThreads(partition, [&](int begin, int end) {
+      return kernel.advance(begin, end, 0, p_.data(), q_.data(), inverse_.data(), z_.data(), r_.data(), z_.data());
+    });
+    report.residual = std::sqrt(rz) / scale;
+    report.converged = report.residual <= tolerance;
+    if (report.converged || report.iterations >= max_iterations || !std::isfinite(rz)) return report;
+    p_.matrix() = z_.matrix();
+    const double target = tolerance * scale;
+    while (report.iterations < max_iterations)
+    {
+      systemProduct(model, partition, rotations, alpha_, beta_, p_, q_);
+      const double curvature = sumOverThreads(
+          partition, [&](int begin, int end) { return kernel.dot(begin, end, p_.data(), q_.data()); });
+      ++report.iterations;
+      if (!(curvature > 0)) break;
+      const double before = rz;
+      rz = sumOverThreads(partition, [&](int begin, int end) {
+        return kernel.advance(begin, end, before / curvature, p_.data(), q_.data(), inverse_.data(), u.data(),
+                              r_.data(), z_.data());
+      });
+      // A little below, so that rounding in the update does not cost a second round.
+      if (!(std::sqrt(rz) > 0.99 * target)) break;
+      forEachThread(partition, [&](int t) {
+        kernel.redirect(partition.nodeBegin(t), partition.nodeEnd(t), rz / before, z_.data(), p_.data());
+      });
+    }
+  }
+}
+
+}  // namespace bezier_fem

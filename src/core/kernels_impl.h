@@ -1,0 +1,522 @@
+// The kernels of kernels.h for registers of WIDTH doubles. Included by one .cpp an instruction set, which defines
+// WIDTH and TABLE; nothing with external linkage but that table may be defined here.
+#include "kernels.h"
+
+namespace bezier_fem::kernels
+{
+namespace
+{
+using Vec = double __attribute__((vector_size(sizeof(double) * WIDTH)));
+using Node = double __attribute__((vector_size(sizeof(double) * 4)));
+static_assert(LANES % WIDTH == 0, "a block is a whole number of registers");
+
+inline Vec load(const double* p) { return *reinterpret_cast<const Vec*>(p); }
+inline void store(double* p, Vec v) { *reinterpret_cast<Vec*>(p) = v; }
+inline Node loadNode(const double* base, int node) { return *reinterpret_cast<const Node*>(base + 4L * node); }
+
+struct Vec3
+{
+  Vec x, y, z;
+};
+inline Vec3 operator+(const Vec3& a, const Vec3& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+inline Vec3 operator-(const Vec3& a, const Vec3& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+inline Vec3 operator*(Vec s, const Vec3& a) { return {s * a.x, s * a.y, s * a.z}; }
+
+/** The values of WIDTH nodes, one a lane: a transpose from x, y, z, 0 in memory to three registers. */
+inline Vec3 gather(const double* base, const int* nodes)
+{
+#if WIDTH == 2
+  const Vec a = load(base + 4L * nodes[0]), b = load(base + 4L * nodes[1]);
+  return {__builtin_shufflevector(a, b, 0, 2), __builtin_shufflevector(a, b, 1, 3),
+          Vec{base[4L * nodes[0] + 2], base[4L * nodes[1] + 2]}};
+#else
+  Node x[WIDTH / 4], y[WIDTH / 4], z[WIDTH / 4];
+  for (int k = 0; k < WIDTH / 4; ++k)
+  {
+    const Node a = loadNode(base, nodes[4 * k]), b = loadNode(base, nodes[4 * k + 1]);
+    const Node c = loadNode(base, nodes[4 * k + 2]), d = loadNode(base, nodes[4 * k + 3]);
+    const Node ab_xz = __builtin_shufflevector(a, b, 0, 4, 2, 6), ab_y = __builtin_shufflevector(a, b, 1, 5, 3, 7);
+    const Node cd_xz = __builtin_shufflevector(c, d, 0, 4, 2, 6), cd_y = __builtin_shufflevector(c, d, 1, 5, 3, 7);
+    x[k] = __builtin_shufflevector(ab_xz, cd_xz, 0, 1, 4, 5);
+    y[k] = __builtin_shufflevector(ab_y, cd_y, 0, 1, 4, 5);
+    z[k] = __builtin_shufflevector(ab_xz, cd_xz, 2, 3, 6, 7);
+  }
+#if WIDTH == 4
+  return {x[0], y[0], z[0]};
+#else
+  return {__builtin_shufflevector(x[0], x[1], 0, 1, 2, 3, 4, 5, 6, 7),
+          __builtin_shufflevector(y[0], y[1], 0, 1, 2, 3, 4, 5, 6, 7),
+          __builtin_shufflevector(z[0], z[1], 0, 1, 2, 3, 4, 5, 6, 7)};
+#endif
+#endif
+}
+
+inline void addNode(double* base, int node, Node v)
+{
+  Node* p = reinterpret_cast<Node*>(base + 4L * node);
+  *p += v;
+}
+
+/** The transpose of gather(): lane by lane, because two lanes may add to the same node. */
+inline void scatterAdd(double* base, const int* nodes, const Vec3& v)
+{
+#if WIDTH == 2
+  for (int k = 0; k < 2; ++k)
+  {
+    double* p = base + 4L * nodes[k];
+    p[0] += v.x[k];
+    p[1] += v.y[k];
+    p[2] += v.z[k];
+  }
+#else
+  for (int k = 0; k < WIDTH / 4; ++k)
+  {
+#if WIDTH == 4
+    const Node x = v.x, y = v.y, z = v.z;
+#else
+    const Node x = k ? __builtin_shufflevector(v.x, v.x, 4, 5, 6, 7) : __builtin_shufflevector(v.x, v.x, 0, 1, 2, 3);
+    const Node y = k ? __builtin_shufflevector(v.y, v.y, 4, 5, 6, 7) : __builtin_shufflevector(v.y, v.y, 0, 1, 2, 3);
+    const Node z = k ? __builtin_shufflevector(v.z, v.z, 4, 5, 6, 7) : __builtin_shufflevector(v.z, v.z, 0, 1, 2, 3);
+#endif
+    const Node zero = {0, 0, 0, 0};
+    const Node xy_02 = __builtin_shufflevector(x, y, 0, 4, 2, 6), xy_13 = __builtin_shufflevector(x, y, 1, 5, 3, 7);
+    const Node z_02 = __builtin_shufflevector(z, zero, 0, 4, 2, 6), z_13 = __builtin_shufflevector(z, zero, 1, 5, 3, 7);
+    addNode(base, nodes[4 * k], __builtin_shufflevector(xy_02, z_02, 0, 1, 4, 5));
+    addNode(base, nodes[4 * k + 1], __builtin_shufflevector(xy_13, z_13, 0, 1, 4, 5));
+    addNode(base, nodes[4 * k + 2], __builtin_shufflevector(xy_02, z_02, 2, 3, 6, 7));
+    addNode(base, nodes[4 * k + 3], __builtin_shufflevector(xy_13, z_13, 2, 3, 6, 7));
+  }
+#endif
+}
+
+/** Symmetric 3x3 matrix, one a lane. */
+struct Sym
+{
+  Vec xx, xy, xz, yy, yz, zz;
+};
+inline Sym operator+(const Sym& a, const Sym& b)
+{
+  return {a.xx + b.xx, a.xy + b.xy, a.xz + b.xz, a.yy + b.yy, a.yz + b.yz, a.zz + b.zz};
+}
+inline Vec3 operator*(const Sym& m, const Vec3& v)
+{
+  return {m.xx * v.x + m.xy * v.y + m.xz * v.z, m.xy * v.x + m.yy * v.y + m.yz * v.z,
+          m.xz * v.x + m.yz * v.y + m.zz * v.z};
+}
+
+struct RotatedGradients
+{
+  Vec3 r[4];
+};
+
+inline RotatedGradients loadGradients(const double* p)
+{
+  RotatedGradients g;
+  for (int a = 0; a < 3; ++a)
+  {
+    g.r[a + 1] = {load(p + (3L * a) * LANES), load(p + (3L * a + 1) * LANES), load(p + (3L * a + 2) * LANES)};
+  }
+  const Vec3 sum = g.r[1] + g.r[2] + g.r[3];
+  g.r[0] = {-sum.x, -sum.y, -sum.z};
+  return g;
+}
+
+/**
+ * Stress of the strain sym(sum_d u_d r_d^T) - identity, u_d measured from u_0, which sum_d r_d = 0 allows and which
+ * keeps a body far from the origin exact.
+ */
+inline Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, const Vec3& u3, double identity, Vec lambda,
+                  Vec mu)
+{
+  const Vec3 &a = g.r[1], &b = g.r[2], &c = g.r[3];
+  const Vec exx = u1.x * a.x + u2.x * b.x + u3.x * c.x - identity;
+  const Vec eyy = u1.y * a.y + u2.y * b.y + u3.y * c.y - identity;
+  const Vec ezz = u1.z * a.z + u2.z * b.z + u3.z * c.z - identity;
+  const Vec exy = u1.x * a.y + u2.x * b.y + u3.x * c.y + u1.y * a.x + u2.y * b.x + u3.y * c.x;
+  const Vec exz = u1.x * a.z + u2.x * b.z + u3.x * c.z + u1.z * a.x + u2.z * b.x + u3.z * c.x;
+  const Vec eyz = u1.y * a.z + u2.y * b.z + u3.y * c.z + u1.z * a.y + u2.z * b.y + u3.z * c.y;
+  const Vec pressure = lambda * (exx + eyy + ezz), two_mu = mu + mu;
+  return {pressure + two_mu * exx, mu * exy,        mu * exz, pressure + two_mu * eyy, mu * eyz,
+          pressure + two_mu * ezz};
+}
+
+/** Local control point (a,b); bernstein.h has the same table for the rest of the library. */
+constexpr int POINT[4][4] = {{0, 4, 5, 6}, {4, 1, 7, 8}, {5, 7, 2, 9}, {6, 8, 9, 3}};
+
+/** f = K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V. */
+template <int NODES>
+inline void elasticForce(const RotatedGradients& g, const Vec3* u, double identity, Vec lambda, Vec mu, Vec3* f)
+{
+  if constexpr (NODES == 4)
+  {
+    const Sym s = stress(g, u[1] - u[0], u[2] - u[0], u[3] - u[0], identity, lambda, mu);
+    for (int a = 0; a < 4; ++a) f[a] = s * g.r[a];
+  }
+  else
+  {
+    // F_c = 2 sum_d x_cd g_d^T; Q_a = V/20 (s_a + sum_c s_c); the factors 2 of F_c and of f are put together: stress()
+    // works on half the strain, with half the identity, and 2 * 2 / 20 = 1/5 goes to lambda and mu.
+    lambda = lambda * 0.2;
+    mu = mu * 0.2;
+    Sym q[4];
+    for (int c = 0; c < 4; ++c)
+    {
+      const Vec3& origin = u[POINT[c][0]];
+      q[c] = stress(g, u[POINT[c][1]] - origin, u[POINT[c][2]] - origin, u[POINT[c][3]] - origin, 0.5 * identity, lambda,
+                    mu);
+    }
+    const Sym sum = q[0] + q[1] + q[2] + q[3];
+    for (int c = 0; c < 4; ++c) q[c] = q[c] + sum;
+    for (int a = 0; a < 4; ++a)
+    {
+      f[a] = q[a] * g.r[a];
+      for (int b = a + 1; b < 4; ++b) f[POINT[a][b]] = q[a] * g.r[b] + q[b] * g.r[a];
+    }
+  }
+}
+
+/** f += m M u / (rho V), with the exact integrals of products of basis functions; mass is m rho V. */
+template <int NODES>
+inline void addMass(const Vec3* u, Vec mass, Vec3* f)
+{
+  if constexpr (NODES == 4)
+  {
+    const Vec scale = mass * (1.0 / 20);
+    const Vec3 sum = u[0] + u[1] + u[2] + u[3];
+    for (int a = 0; a < 4; ++a) f[a] = f[a] + scale * (sum + u[a]);
+  }
+  else
+  {
+    const Vec scale = mass * (1.0 / 210);
+    Vec3 t[4];
+    for (int a = 0; a < 4; ++a)
+    {
+      t[a] = u[a] + u[POINT[a][0]] + u[POINT[a][1]] + u[POINT[a][2]] + u[POINT[a][3]];
+    }
+    const Vec half = Vec{} + 0.5;
+    const Vec3 sum = half * (t[0] + t[1] + t[2] + t[3]);
+    for (int a = 0; a < 4; ++a)
+    {
+      for (int b = a; b < 4; ++b) f[POINT[a][b]] = f[POINT[a][b]] + scale * (sum + t[a] + t[b] + u[POINT[a][b]]);
+    }
+  }
+}
+
+template <int NODES>
+void addProduct(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
+                const double* u, double* y)
+{
+  for (int block = begin; block < end; ++block)
+  {
+    for (int part = 0; part < LANES; part += WIDTH)
+    {
+      const int* from = elements.gather + static_cast<long>(block) * NODES * LANES + part;
+      const int* to = elements.scatter + static_cast<long>(block) * NODES * LANES + part;
+      const double* c = elements.coefficients + 3L * block * LANES + part;
+      Vec3 in[NODES], out[NODES];
+      for (int k = 0; k < NODES; ++k) in[k] = gather(u, from + static_cast<long>(k) * LANES);
+      const RotatedGradients g = loadGradients(rotated + 9L * block * LANES + part);
+      elasticForce<NODES>(g, in, 0, beta * load(c), beta * load(c + LANES), out);
+      addMass<NODES>(in, alpha * load(c + 2L * LANES), out);
+      for (int k = 0; k < NODES; ++k) scatterAdd(y, to + static_cast<long>(k) * LANES, out[k]);
+    }
+  }
+}
+
+template <int NODES>
+void addForce(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y)
+{
+  for (int block = begin; block < end; ++block)
+  {
+    for (int part = 0; part < LANES; part += WIDTH)
+    {
+      const int* from = elements.gather + static_cast<long>(block) * NODES * LANES + part;
+      const int* to = elements.scatter + static_cast<long>(block) * NODES * LANES + part;
+      const double* c = elements.coefficients + 3L * block * LANES + part;
+      Vec3 in[NODES], out[NODES];
+      for (int k = 0; k < NODES; ++k) in[k] = gather(x, from + static_cast<long>(k) * LANES);
+      const RotatedGradients g = loadGradients(rotated + 9L * block * LANES + part);
+      elasticForce<NODES>(g, in, 1, load(c), load(c + LANES), out);
+      for (int k = 0; k < NODES; ++k) scatterAdd(y, to + static_cast<long>(k) * LANES, out[k]);
+    }
+  }
+}
+
+/** H_cd + H_dc over V, with H_cd = lambda c d^T + mu d c^T + mu (c.d) 1; H_cc + H_cc = 2 H_cc for c = d. */
+inline Sym symmetricH(const Vec3& c, const Vec3& d, Vec lambda, Vec mu)
+{
+  const Vec sum = lambda + mu;
+  const Vec dot = (mu + mu) * (c.x * d.x + c.y * d.y + c.z * d.z);
+  return {(sum + sum) * c.x * d.x + dot, sum * (c.x * d.y + c.y * d.x), sum * (c.x * d.z + c.z * d.x),
+          (sum + sum) * c.y * d.y + dot, sum * (c.y * d.z + c.z * d.y), (sum + sum) * c.z * d.z + dot};
+}
+
+inline void scatterDiagonal(double* d, const int* nodes, Sym s, Vec mass)
+{
+  s.xx += mass;
+  s.yy += mass;
+  s.zz += mass;
+  for (int k = 0; k < WIDTH; ++k)
+  {
+    double* p = d + static_cast<long>(DIAGONAL_STRIDE) * nodes[k];
+    p[0] += s.xx[k];
+    p[1] += s.xy[k];
+    p[2] += s.xz[k];
+    p[3] += s.yy[k];
+    p[4] += s.yz[k];
+    p[5] += s.zz[k];
+  }
+}
+
+inline Sym operator*(Vec s, const Sym& m) { return {s * m.xx, s * m.xy, s * m.xz, s * m.yy, s * m.yz, s * m.zz}; }
+
+template <int NODES>
+void addDiagonal(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
+                 double* d)
+{
+  for (int block = begin; block < end; ++block)
+  {
+    for (int part = 0; part < LANES; part += WIDTH)
+    {
+      const int* to = elements.scatter + static_cast<long>(block) * NODES * LANES + part;
+      const double* c = elements.coefficients + 3L * block * LANES + part;
+      const RotatedGradients g = loadGradients(rotated + 9L * block * LANES + part);
+      const Vec lambda = beta * load(c), mu = beta * load(c + LANES), mass = alpha * load(c + 2L * LANES);
+      Sym h[4];  // 2 H_aa
+      for (int a = 0; a < 4; ++a) h[a] = symmetricH(g.r[a], g.r[a], lambda, mu);
+      if constexpr (NODES == 4)
+      {
+        const Vec half = Vec{} + 0.5;
+        for (int a = 0; a < 4; ++a) scatterDiagonal(d, to + static_cast<long>(a) * LANES, half * h[a], mass * 0.1);
+      }
+      else
+      {
+        // 4 V/20 (2 H_aa) at corners, 4 V/20 (2 H_aa + 2 H_bb + H_ab + H_ba) at edges; M: rho V/35 and rho V 4/210.
+        const Vec fifth = Vec{} + 0.2;
+        for (int a = 0; a < 4; ++a)
+        {
+          scatterDiagonal(d, to + static_cast<long>(a) * LANES, fifth * h[a], mass * (1.0 / 35));
+          for (int b = a + 1; b < 4; ++b)
+          {
+            const Sym edge = fifth * (h[a] + h[b] + symmetricH(g.r[a], g.r[b], lambda, mu));
+            scatterDiagonal(d, to + static_cast<long>(POINT[a][b]) * LANES, edge, mass * (2.0 / 105));
+          }
+        }
+      }
+    }
+  }
+}
+
+struct Mat
+{
+  Vec m[3][3];
+};
+
+inline Mat loadMatrix(const double* p)
+{
+  Mat r;
+  for (int k = 0; k < 9; ++k) r.m[k / 3][k % 3] = load(p + static_cast<long>(k) * LANES);
+  return r;
+}
+
+inline Mat operator*(const Mat& a, const Mat& b)
+{
+  Mat r;
+  for (int i = 0; i < 3; ++i)
+  {
+    for (int j = 0; j < 3; ++j) r.m[i][j] = a.m[i][0] * b.m[0][j] + a.m[i][1] * b.m[1][j] + a.m[i][2] * b.m[2][j];
+  }
+  return r;
+}
+
+inline Mat transposeTimes(const Mat& a, const Mat& b)
+{
+  Mat r;
+  for (int i = 0; i < 3; ++i)
+  {
+    for (int j = 0; j < 3; ++j) r.m[i][j] = a.m[0][i] * b.m[0][j] + a.m[1][i] * b.m[1][j] + a.m[2][i] * b.m[2][j];
+  }
+  return r;
+}
+
+inline Vec squareRoot(Vec v)
+{
+  Vec r;
+  for (int k = 0; k < WIDTH; ++k) r[k] = __builtin_sqrt(v[k]);
+  return r;
+}
+
+inline bool anyAbove(Vec v, double bound)
+{
+  for (int k = 0; k < WIDTH; ++k)
+  {
+    if (!(v[k] <= bound)) return true;
+  }
+  return false;
+}
+
+void updateRotations(const Elements& elements, int begin, int end, const double* gradients, const double* x,
+                     const double* before, double* after, double* rotated, double* turned, unsigned char* flags)
+{
+  constexpr int MAX_NEWTON_STEPS = 8;
+  const long nodes = elements.nodes_per_tet;
+  for (int block = begin; block < end; ++block)
+  {
+    for (int part = 0; part < LANES; part += WIDTH)
+    {
+      const int* from = elements.gather + block * nodes * LANES + part;
+      const Vec3 origin = gather(x, from);
+      const RotatedGradients g = loadGradients(gradients + 9L * block * LANES + part);
+      Mat f;
+      for (auto& row : f.m)
+      {
+        for (Vec& v : row) v = Vec{};
+      }
+      for (int a = 1; a < 4; ++a)
+      {
+        const Vec3 d = gather(x, from + static_cast<long>(a) * LANES) - origin;
+        const Vec column[3] = {d.x, d.y, d.z}, row[3] = {g.r[a].x, g.r[a].y, g.r[a].z};
+        for (int i = 0; i < 3; ++i)
+        {
+          for (int j = 0; j < 3; ++j) f.m[i][j] += column[i] * row[j];
+        }
+      }
+
+      // Newton's method for the maximum of tr(R^T F) over rotations: with S = R^T F and H = tr(S) 1 - sym(S), the
+      // correction is R exp(w), H w = axial(S - S^T). A maximum has H positive definite, and there is one only.
+      const Mat start = loadMatrix(before + 9L * block * LANES + part);
+      Mat r = start;
+      Vec certified = Vec{};
+      for (int step = 0; step < MAX_NEWTON_STEPS; ++step)
+      {
+        const Mat s = transposeTimes(r, f);
+        const Vec trace = s.m[0][0] + s.m[1][1] + s.m[2][2];
+        const Vec hxx = trace - s.m[0][0], hyy = trace - s.m[1][1], hzz = trace - s.m[2][2];
+        const Vec hxy = -0.5 * (s.m[0][1] + s.m[1][0]), hxz = -0.5 * (s.m[0][2] + s.m[2][0]);
+        const Vec hyz = -0.5 * (s.m[1][2] + s.m[2][1]);
+        const Vec ax = s.m[2][1] - s.m[1][2], ay = s.m[0][2] - s.m[2][0], az = s.m[1][0] - s.m[0][1];
+        // adj(H), symmetric
+        const Vec cxx = hyy * hzz - hyz * hyz, cxy = hxz * hyz - hxy * hzz, cxz = hxy * hyz - hxz * hyy;
+        const Vec cyy = hxx * hzz - hxz * hxz, cyz = hxy * hxz - hxx * hyz, czz = hxx * hyy - hxy * hxy;
+        const Vec det = hxx * cxx + hxy * cxy + hxz * cxz;
+        // Positive definite with a margin: the product of the eigenvalues against the cube of their sum.
+        const Vec sum = hxx + hyy + hzz;
+        const auto well = (hxx > 0) & (czz > 0) & (det > 4e-3 * sum * sum * sum);
+        certified = well ? Vec{} + 1 : Vec{};
+        const Vec scale = 1 / (det != 0 ? det : Vec{} + 1);
+        Vec wx = scale * (cxx * ax + cxy * ay + cxz * az);
+        Vec wy = scale * (cxy * ax + cyy * ay + cyz * az);
+        Vec wz = scale * (cxz * ax + cyz * ay + czz * az);
+        const Vec size2 = wx * wx + wy * wy + wz * wz;
+        // In a plane, w is the tangent of the angle that is missing; half that angle's tangent goes to Cayley's map.
+        const Vec shrink = 1 / (1 + squareRoot(1 + size2));
+        wx *= shrink;
+        wy *= shrink;
+        wz *= shrink;
+        const Vec two = 2 / (1 + wx * wx + wy * wy + wz * wz);
+        Mat q;
+        q.m[0][0] = 1 - two * (wy * wy + wz * wz);
+        q.m[0][1] = two * (wx * wy - wz);
+        q.m[0][2] = two * (wx * wz + wy);
+        q.m[1][0] = two * (wx * wy + wz);
+        q.m[1][1] = 1 - two * (wx * wx + wz * wz);
+        q.m[1][2] = two * (wy * wz - wx);
+        q.m[2][0] = two * (wx * wz - wy);
+        q.m[2][1] = two * (wy * wz + wx);
+        q.m[2][2] = 1 - two * (wx * wx + wy * wy);
+        r = r * q;
+        // Convergence is cubic: a correction of 1e-5 leaves an error of rounding size.
+        certified = size2 < 1e-10 ? certified : Vec{};
+        if (!anyAbove(size2, 1e-10)) break;
+      }
+      // One Newton-Schulz step, so that rounding does not add up over millions of steps.
+      Mat correction = transposeTimes(r, r);
+      for (int i = 0; i < 3; ++i)
+      {
+        for (int j = 0; j < 3; ++j) correction.m[i][j] = (i == j ? 1.5 : 0.0) - 0.5 * correction.m[i][j];
+      }
+      r = r * correction;
+
+      Vec change = Vec{};
+      for (int k = 0; k < 9; ++k)
+      {
+        const Vec d = r.m[k / 3][k % 3] - start.m[k / 3][k % 3];
+        change += d * d;
+        store(after + (9L * block + k) * LANES + part, r.m[k / 3][k % 3]);
+      }
+      store(turned + static_cast<long>(block) * LANES + part, change);
+      for (int a = 0; a < 3; ++a)
+      {
+        const Vec3& v = g.r[a + 1];
+        for (int i = 0; i < 3; ++i)
+        {
+          store(rotated + (9L * block + 3 * a + i) * LANES + part,
+                r.m[i][0] * v.x + r.m[i][1] * v.y + r.m[i][2] * v.z);
+        }
+      }
+      for (int k = 0; k < WIDTH; ++k)
+      {
+        flags[static_cast<long>(block) * LANES + part + k] = certified[k] > 0 ? CERTIFIED : NEEDS_FALLBACK;
+      }
+    }
+  }
+}
+
+double dot(int begin, int end, const double* a, const double* b)
+{
+  Node sum = {0, 0, 0, 0}, other = {0, 0, 0, 0};
+  int i = begin;
+  for (; i + 1 < end; i += 2)
+  {
+    sum += loadNode(a, i) * loadNode(b, i);
+    other += loadNode(a, i + 1) * loadNode(b, i + 1);
+  }
+  if (i < end) sum += loadNode(a, i) * loadNode(b, i);
+  sum += other;
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+double advance(int begin, int end, double a, const double* p, const double* q, const double* inverse, double* x,
+               double* r, double* z)
+{
+  Node sum = {0, 0, 0, 0};
+  for (int i = begin; i < end; ++i)
+  {
+    const double* columns = inverse + static_cast<long>(INVERSE_STRIDE) * i;
+    *reinterpret_cast<Node*>(x + 4L * i) += a * loadNode(p, i);
+    const Node res = loadNode(r, i) - a * loadNode(q, i);
+    *reinterpret_cast<Node*>(r + 4L * i) = res;
+    const Node pre = res[0] * loadNode(columns, 0) + res[1] * loadNode(columns, 1) + res[2] * loadNode(columns, 2);
+    *reinterpret_cast<Node*>(z + 4L * i) = pre;
+    sum += res * pre;
+  }
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+void redirect(int begin, int end, double b, const double* z, double* p)
+{
+  for (int i = begin; i < end; ++i) *reinterpret_cast<Node*>(p + 4L * i) = loadNode(z, i) + b * loadNode(p, i);
+}
+
+void addProductAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
+                   const double* u, double* y)
+{
+  (elements.nodes_per_tet == 4 ? addProduct<4> : addProduct<10>)(elements, begin, end, rotated, alpha, beta, u, y);
+}
+
+void addForceAny(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y)
+{
+  (elements.nodes_per_tet == 4 ? addForce<4> : addForce<10>)(elements, begin, end, rotated, x, y);
+}
+
+void addDiagonalAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
+                    double* d)
+{
+  (elements.nodes_per_tet == 4 ? addDiagonal<4> : addDiagonal<10>)(elements, begin, end, rotated, alpha, beta, d);
+}
+}  // namespace
+
+extern const Table TABLE;
+const Table TABLE = {TABLE_NAME, updateRotations, addProductAny, addForceAny, addDiagonalAny, dot, advance, redirect};
+
+}  // namespace bezier_fem::kernels

@@ -1,0 +1,249 @@
+#include "bezier_fem/model.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cassert>
+#include <map>
+#include <numeric>
+#include <unordered_map>
+
+namespace bezier_fem
+{
+namespace
+{
+/** Spreads the lowest 21 bits of v to every third bit. */
+std::uint64_t spread(std::uint64_t v)
+{
+  v = (v | v << 32) & 0x1f00000000ffff;
+  v = (v | v << 16) & 0x1f0000ff0000ff;
+  v = (v | v << 8) & 0x100f00f00f00f00f;
+  v = (v | v << 4) & 0x10c30c30c30c30c3;
+  v = (v | v << 2) & 0x1249249249249249;
+  return v;
+}
+
+/** Mesh tets sorted along a Morton curve through their centroids. */
+std::vector<int> mortonOrder(const TetMesh& mesh)
+{
+  const Eigen::Vector3d low = mesh.corners.rowwise().minCoeff();
+  const double extent = std::max((mesh.corners.rowwise().maxCoeff() - low).maxCoeff(), 1e-300);
+  const double scale = ((1 << 21) - 1) / extent;
+  std::vector<std::uint64_t> keys(mesh.tets.cols());
+  for (Eigen::Index t = 0; t < mesh.tets.cols(); ++t)
+  {
+    Eigen::Vector3d centroid = Eigen::Vector3d::Zero();
+    for (int a = 0; a < CORNERS; ++a) centroid += mesh.corners.col(mesh.tets(a, t)) / 4;
+    const Eigen::Vector3d cell = (centroid - low) * scale;
+    keys[t] = spread(static_cast<std::uint64_t>(cell.x())) | spread(static_cast<std::uint64_t>(cell.y())) << 1 |
+              spread(static_cast<std::uint64_t>(cell.z())) << 2;
+  }
+  std::vector<int> order(keys.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return keys[a] < keys[b]; });
+  return order;
+}
+
+std::uint64_t pairKey(int a, int b)
+{
+  return static_cast<std::uint64_t>(std::min(a, b)) << 32 | static_cast<std::uint32_t>(std::max(a, b));
+}
+
+/** Numbers corners and edges in the order in which the elements meet them. */
+void numberNodes(const TetMesh& mesh, const std::vector<int>& order, Model& model)
+{
+  std::unordered_map<std::uint64_t, int> node_of_edge;
+  model.node_of_corner.assign(mesh.corners.cols(), -1);
+  model.tets.reserve(order.size() * model.nodes_per_tet);
+  for (const int t : order)
+  {
+    for (int a = 0; a < CORNERS; ++a)
+    {
+      const int corner = mesh.tets(a, t);
+      if (model.node_of_corner[corner] < 0)
+      {
+        model.node_of_corner[corner] = static_cast<int>(model.ends.size());
+        model.ends.push_back({corner, corner});
+      }
+      model.tets.push_back(model.node_of_corner[corner]);
+    }
+    if (!model.quadratic()) continue;
+    for (const auto& edge : EDGE_CORNERS)
+    {
+      const int a = mesh.tets(edge[0], t), b = mesh.tets(edge[1], t);
+      const auto [entry, is_new] = node_of_edge.try_emplace(pairKey(a, b), static_cast<int>(model.ends.size()));
+      if (is_new) model.ends.push_back({std::min(a, b), std::max(a, b)});
+      model.tets.push_back(entry->second);
+    }
+  }
+  model.num_nodes = static_cast<int>(model.ends.size());
+}
+
+/** The file's ids; edges that have none get the ids after the largest, in the order of their corners' ids. */
+void assignIds(const TetMesh& mesh, Model& model)
+{
+  std::unordered_map<std::uint64_t, std::int64_t> id_of_edge;
+  for (const MidEdgeNode& mid : mesh.mid_edges) id_of_edge[pairKey(mid.corner_a, mid.corner_b)] = mid.id;
+  model.ids.assign(model.num_nodes, 0);
+  std::map<std::pair<std::int64_t, std::int64_t>, int> without_id;
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    const auto [a, b] = model.ends[i];
+    if (a == b)
+    {
+      model.ids[i] = mesh.corner_ids[a];
+    }
+    else if (const auto found = id_of_edge.find(pairKey(a, b)); found != id_of_edge.end())
+    {
+      model.ids[i] = found->second;
+    }
+    else
+    {
+      without_id[std::minmax(mesh.corner_ids[a], mesh.corner_ids[b])] = i;
+    }
+  }
+  std::int64_t id = mesh.largest_id;
+  for (const auto& entry : without_id) model.ids[entry.second] = ++id;
+}
+
+void findBoundary(Model& model)
+{
+  struct Entry
+  {
+    std::array<int, 3> key;
+    Model::Face face;
+  };
+  std::vector<Entry> faces;
+  faces.reserve(static_cast<std::size_t>(model.num_tets) * CORNERS);
+  for (int t = 0; t < model.num_tets; ++t)
+  {
+    for (int a = 0; a < CORNERS; ++a)
+    {
+      std::array<int, 3> key{};
+      for (int k = 0; k < 3; ++k) key[k] = model.nodesOf(t)[FACE_CORNERS[a][k]];
+      std::sort(key.begin(), key.end());
+      faces.push_back({key, {t, a}});
+    }
+  }
+  std::stable_sort(faces.begin(), faces.end(), [](const Entry& a, const Entry& b) { return a.key < b.key; });
+  for (std::size_t i = 0; i < faces.size();)
+  {
+    std::size_t end = i + 1;
+    while (end < faces.size() && faces[end].key == faces[i].key) ++end;
+    if (end == i + 1) model.boundary.push_back(faces[i].face);
+    i = end;
+  }
+  std::sort(model.boundary.begin(), model.boundary.end(), [](const Model::Face& a, const Model::Face& b) {
+    return std::make_pair(a.tet, a.opposite) < std::make_pair(b.tet, b.opposite);
+  });
+}
+
+/** Volumes and gradients of the barycentric coordinates: the rows of inv([v1-v0, v2-v0, v3-v0]). */
+void computeGeometry(Model& model)
+{
+  model.volumes.resize(model.num_tets);
+  model.gradients.resize(3, 3 * static_cast<Eigen::Index>(model.num_tets));
+  for (int t = 0; t < model.num_tets; ++t)
+  {
+    const int* nodes = model.nodesOf(t);
+    Eigen::Matrix3d edges;
+    for (int k = 0; k < 3; ++k) edges.col(k) = model.rest[nodes[k + 1]] - model.rest[nodes[0]];
+    model.volumes[t] = edges.determinant() / 6;
+    assert(model.volumes[t] > 0);
+    model.gradients.middleCols<3>(3 * static_cast<Eigen::Index>(t)) = edges.inverse().transpose();
+  }
+}
+
+void fillBlocks(Model& model)
+{
+  const int n = model.nodes_per_tet;
+  model.num_blocks = (model.num_tets + LANES - 1) / LANES;
+  model.block_nodes.resize(static_cast<std::size_t>(model.num_blocks) * n * LANES);
+  model.block_gradients.resize(static_cast<std::size_t>(model.num_blocks) * 9 * LANES);
+  for (int slot = 0; slot < model.num_blocks * LANES; ++slot)
+  {
+    const int t = std::min(slot, model.num_tets - 1);
+    const std::size_t block = slot / LANES, lane = slot % LANES;
+    for (int k = 0; k < n; ++k) model.block_nodes[(block * n + k) * LANES + lane] = model.nodesOf(t)[k];
+    for (int k = 0; k < 9; ++k)
+    {
+      model.block_gradients[(block * 9 + k) * LANES + lane] =
+          model.gradients(k % 3, 3 * static_cast<Eigen::Index>(t) + k / 3);
+    }
+  }
+}
+}  // namespace
+
+double Model::mass() const { return std::accumulate(node_mass.begin(), node_mass.end(), 0.0); }
+
+double Model::volume() const { return std::accumulate(volumes.begin(), volumes.end(), 0.0); }
+
+std::array<int, 6> Model::nodesOf(const Face& face) const
+{
+  const int* nodes = nodesOf(face.tet);
+  const auto& corners = FACE_CORNERS[face.opposite];
+  std::array<int, 6> result{nodes[corners[0]], nodes[corners[1]], nodes[corners[2]], -1, -1, -1};
+  if (quadratic())
+  {
+    result[3] = nodes[CONTROL_POINT[corners[0]][corners[1]]];
+    result[4] = nodes[CONTROL_POINT[corners[0]][corners[2]]];
+    result[5] = nodes[CONTROL_POINT[corners[1]][corners[2]]];
+  }
+  return result;
+}
+
+double Model::area(const Face& face) const
+{
+  const auto nodes = nodesOf(face);
+  const Eigen::Vector3d a = rest[nodes[1]] - rest[nodes[0]], b = rest[nodes[2]] - rest[nodes[0]];
+  return a.cross(b).norm() / 2;
+}
+
+void setMaterials(Model& model, const std::vector<Material>& materials)
+{
+  model.materials.resize(model.num_tets);
+  for (std::size_t t = 0; t < materials.size(); ++t) model.materials[model.tet_of_mesh_tet[t]] = materials[t];
+
+  model.block_coefficients.assign(static_cast<std::size_t>(model.num_blocks) * 3 * LANES, 0.0);
+  model.node_mass.assign(model.num_nodes, 0.0);
+  for (int t = 0; t < model.num_tets; ++t)
+  {
+    const Material& m = model.materials[t];
+    double* c = model.block_coefficients.data() + static_cast<std::size_t>(t / LANES) * 3 * LANES + t % LANES;
+    c[0] = model.volumes[t] * lameLambda(m);
+    c[LANES] = model.volumes[t] * lameMu(m);
+    c[2 * LANES] = model.volumes[t] * m.density;
+    // Every basis function has the same integral: V/10, or V/4 for linear elements.
+    for (int k = 0; k < model.nodes_per_tet; ++k)
+    {
+      model.node_mass[model.nodesOf(t)[k]] += model.volumes[t] * m.density / model.nodes_per_tet;
+    }
+  }
+}
+
+Model buildModel(const TetMesh& mesh, Element element, const std::vector<Material>& materials)
+{
+  assert(static_cast<Eigen::Index>(materials.size()) == mesh.tets.cols());
+  Model model;
+  model.num_tets = static_cast<int>(mesh.tets.cols());
+  model.num_corners = static_cast<int>(mesh.corners.cols());
+  model.nodes_per_tet = element == Element::QUADRATIC ? QUADRATIC_NODES : CORNERS;
+
+  const std::vector<int> order = mortonOrder(mesh);
+  model.tet_of_mesh_tet.resize(order.size());
+  for (std::size_t k = 0; k < order.size(); ++k) model.tet_of_mesh_tet[order[k]] = static_cast<int>(k);
+
+  numberNodes(mesh, order, model);
+  assignIds(mesh, model);
+  model.rest = NodalField(model.num_nodes);
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    model.rest[i] = (mesh.corners.col(model.ends[i][0]) + mesh.corners.col(model.ends[i][1])) / 2;
+  }
+  findBoundary(model);
+  computeGeometry(model);
+  fillBlocks(model);
+  setMaterials(model, materials);
+  return model;
+}
+
+}  // namespace bezier_fem

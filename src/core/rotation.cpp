@@ -1,0 +1,138 @@
+#include "bezier_fem/rotation.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+#include "kernels.h"
+#include "parallel.h"
+
+namespace bezier_fem
+{
+namespace
+{
+/** Relative distance of two eigenvalues below which they count as the same. */
+constexpr double SAME = 1e-6;
+/** Below this margin an element's rotation may jump, so that its change says nothing about the length of the step. */
+constexpr double UNIQUE = 0.1;
+
+std::size_t offset(int tet, int entries) { return (static_cast<std::size_t>(tet / LANES) * entries) * LANES + tet % LANES; }
+
+Eigen::Matrix3d loadMatrix(const AlignedVector<double>& blocks, int slot)
+{
+  Eigen::Matrix3d m;
+  const double* p = blocks.data() + offset(slot, 9);
+  for (int k = 0; k < 9; ++k) m(k / 3, k % 3) = p[k * LANES];
+  return m;
+}
+
+/** Columns g_1, g_2, g_3 of a slot. */
+Eigen::Matrix3d loadGradients(const AlignedVector<double>& blocks, int slot)
+{
+  return loadMatrix(blocks, slot).transpose();
+}
+
+void storeMatrix(AlignedVector<double>& blocks, int slot, const Eigen::Matrix3d& m)
+{
+  double* p = blocks.data() + offset(slot, 9);
+  for (int k = 0; k < 9; ++k) p[k * LANES] = m(k / 3, k % 3);
+}
+
+/** Horn 1987: q^T N q = tr(R(q)^T F) for a unit quaternion q = (w, x, y, z). */
+Eigen::Matrix4d quaternionForm(const Eigen::Matrix3d& F)
+{
+  Eigen::Matrix4d n;
+  n << F.trace(), F(2, 1) - F(1, 2), F(0, 2) - F(2, 0), F(1, 0) - F(0, 1),     //
+      0, F(0, 0) - F(1, 1) - F(2, 2), F(0, 1) + F(1, 0), F(0, 2) + F(2, 0),    //
+      0, 0, F(1, 1) - F(0, 0) - F(2, 2), F(1, 2) + F(2, 1),                    //
+      0, 0, 0, F(2, 2) - F(0, 0) - F(1, 1);
+  return n.selfadjointView<Eigen::Upper>();
+}
+}  // namespace
+
+Eigen::Matrix3d polarRotation(const Eigen::Matrix3d& F, const Eigen::Matrix3d& before, double* margin)
+{
+  const double size = F.cwiseAbs().maxCoeff();
+  if (margin) *margin = 0;
+  if (!(size > 1e-200) || !std::isfinite(size)) return before;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix4d> eigen(quaternionForm(F / size));
+  const Eigen::Vector4d& values = eigen.eigenvalues();  // ascending: s1+s2+s3 last, then s1-s2-s3
+  if (margin) *margin = (values[3] - values[2]) / (values[3] - values[0]);  // 2 (s2 + s3) over 2 (s1 + s2)
+
+  Eigen::Vector4d q = eigen.eigenvectors().col(3);
+  if (values[3] - values[2] < SAME * (values[3] - values[0]))
+  {
+    const Eigen::Quaterniond previous(before);
+    const Eigen::Vector4d p(previous.w(), previous.x(), previous.y(), previous.z());
+    Eigen::Vector4d projected = Eigen::Vector4d::Zero();
+    for (int k = 0; k < 4; ++k)
+    {
+      if (values[3] - values[k] < SAME * (values[3] - values[0]))
+      {
+        projected += eigen.eigenvectors().col(k) * eigen.eigenvectors().col(k).dot(p);
+      }
+    }
+    // Orthogonal to all maxima: none is nearer than another.
+    if (projected.norm() > 1e-3) q = projected;
+  }
+  return Eigen::Quaterniond(q[0], q[1], q[2], q[3]).normalized().toRotationMatrix();
+}
+
+Eigen::Matrix3d Rotations::matrix(int tet) const { return loadMatrix(matrices, tet); }
+
+Eigen::Matrix<double, 3, 4> Rotations::gradient(int tet) const
+{
+  Eigen::Matrix<double, 3, 4> r;
+  r.rightCols<3>() = loadGradients(gradients, tet);
+  r.col(0) = -(r.col(1) + r.col(2) + r.col(3));
+  return r;
+}
+
+Rotations restRotations(const Model& model)
+{
+  Rotations rotations;
+  rotations.matrices.assign(static_cast<std::size_t>(model.num_blocks) * 9 * LANES, 0.0);
+  rotations.gradients = model.block_gradients;
+  rotations.unique.assign(static_cast<std::size_t>(model.num_blocks) * LANES, 1);
+  for (int slot = 0; slot < model.num_blocks * LANES; ++slot)
+  {
+    storeMatrix(rotations.matrices, slot, Eigen::Matrix3d::Identity());
+  }
+  return rotations;
+}
+
+double updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,
+                       Rotations& after, AlignedVector<double>& turned)
+{
+  const kernels::Elements elements{model.nodes_per_tet, model.block_nodes.data(), nullptr, nullptr};
+  forEachThread(partition, [&](int thread) {
+    const int begin = partition.blockBegin(thread), end = partition.blockEnd(thread);
+    kernels::table().update_rotations(elements, begin, end, model.block_gradients.data(), x.data(),
+                                      before.matrices.data(), after.matrices.data(), after.gradients.data(),
+                                      turned.data(), after.unique.data());
+    for (int slot = begin * LANES; slot < end * LANES; ++slot)
+    {
+      if (after.unique[slot] == kernels::CERTIFIED) continue;
+      const int t = std::min(slot, model.num_tets - 1);
+      const int* nodes = model.nodesOf(t);
+      Eigen::Matrix3d edges;
+      for (int k = 0; k < 3; ++k) edges.col(k) = x[nodes[k + 1]] - x[nodes[0]];
+      const Eigen::Matrix3d gradients = loadGradients(model.block_gradients, slot);
+      const Eigen::Matrix3d last = loadMatrix(before.matrices, slot);
+      double margin;
+      const Eigen::Matrix3d R = polarRotation(edges * gradients.transpose(), last, &margin);
+      storeMatrix(after.matrices, slot, R);
+      storeMatrix(after.gradients, slot, (R * gradients).transpose());
+      turned[slot] = (R - last).squaredNorm();
+      after.unique[slot] = margin > UNIQUE;
+    }
+  });
+  double largest = 0;
+  for (int t = 0; t < model.num_tets; ++t)
+  {
+    if (before.unique[t] && after.unique[t]) largest = std::max(largest, turned[t]);
+  }
+  return 2 * std::asin(std::min(1.0, std::sqrt(largest / 8)));
+}
+
+}  // namespace bezier_fem
