@@ -2,7 +2,9 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,7 +14,6 @@
 #include "bezier_fem/model.h"
 #include "bezier_fem/scene.h"
 #include "bezier_fem/step.h"
-#include "bezier_fem/surface_mesh.h"
 
 namespace bezier_fem
 {
@@ -21,7 +22,7 @@ struct Surface
 {
   std::vector<MaterialPoint> points;
   Eigen::Matrix3Xi triangles;     // 3 x triangles, counter-clockwise from outside
-  Eigen::Matrix3Xd rest_normals;  // 3 x points, unit, area-weighted
+  Eigen::Matrix3Xd rest_normals;  // 3 x points, unit, weighted by area
 };
 
 struct Energies  // J
@@ -30,25 +31,31 @@ struct Energies  // J
 };
 
 /**
- * A scene made ready to run: what the command-line tools and the ROS node share. Not thread-safe; steps allocate no
+ * A scene made ready to run: what the command-line tools and the ROS node share. Not thread-safe. Steps allocate no
  * memory after the first.
  */
 class Simulation
 {
 public:
+  using Log = std::function<void(const std::string&)>;
+
   /**
    * Loads the model and everything that the scene names.
    * @param threads  at least 1
-   * @param log      gets a line for everything worth telling that is not an error: warnings of the mesh, meshing
+   * @param log      gets a line for everything worth telling that is not an error
    * @throws InputError
    */
-  Simulation(const Scene& scene, int threads, const std::function<void(const std::string&)>& log);
+  Simulation(Scene scene, int threads, const Log& log);
 
   /** One time step of the scene's length. */
   StepReport step();
 
-  /** Puts the state at the static equilibrium of the loads of the current time. */
-  StepReport solveStatic();
+  /**
+   * Moves the body to the static equilibrium of the loads of the current time.
+   * @param progress  called before each iteration with its number and the relative residual; may be empty
+   * @throws InputError if a piece of the body can move freely, because there is no one equilibrium then
+   */
+  StepReport solveStatic(const std::function<void(int, double)>& progress = {});
 
   /** Back to the initial state at time 0; live settings stay. */
   void reset();
@@ -58,35 +65,50 @@ public:
   const State& state() const { return state_; }
   double time() const { return state_.time; }  // s
 
-  // What acts from outside, beside the scene's own loads ---------------------------------------------------------
+  // What acts from outside, beside the scene's own loads
 
-  /** Forces on control points (N) that act in every step until changed; num_nodes rows. */
+  /** Forces on control points (N), num_nodes rows, that act in every step until changed. */
   NodalField& externalForces() { return external_forces_; }
 
-  /** Pose of a region that follows a frame, at the end of the next step, relative to where it started. */
-  void setRegionPose(int region, const Eigen::Isometry3d& pose);
+  /** Pose of supports().regions[region], which follows a frame, at the end of the next step, relative to its start. */
+  void setRegionPose(int region, const Eigen::Isometry3d& pose) { supports_.regions[region].end = pose; }
   const Supports& supports() const { return supports_; }
 
-  /** Live settings; values as Scene allows them, not checked again. The material of the whole body, then regions. */
+  // Live settings; values are those that a scene may have, not checked again
+
   void setGravity(const Eigen::Vector3d& gravity) { settings_.gravity = gravity; }
   void setDamping(const Scene::Damping& damping) { settings_.damping = damping; }
+  /** Material of the body, with the scene's regional overrides on top. */
   void setMaterial(const Material& material);
 
-  // What can be seen -----------------------------------------------------------------------------------------------
+  // What can be seen
 
   const Surface& surface() const { return surface_; }
-  /** Current surface points and, if not null, unit normals; 3 x points. */
+  /** Current surface points, m, and, if not null, unit normals; 3 x points. */
   void evaluateSurface(Eigen::Matrix3Xd& positions, Eigen::Matrix3Xd* normals) const;
   /** Von Mises stress at the surface points, Pa. */
   void evaluateSurfaceStress(Eigen::VectorXd& von_mises) const;
-  /** Current positions of the scene's probes, m, in its order. */
+  /** Current position of each of the scene's probes, m. */
   std::vector<Eigen::Vector3d> probes() const;
   Energies energies() const;
-  /** Force and torque that each of supports().regions takes up, of the last step. */
+  /** What each of supports().regions took up in the last step or static solve, at the current positions. */
   std::vector<Reaction> reactions() const;
 
 private:
-  // ...
+  Scene scene_;
+  Model model_;
+  std::vector<std::vector<int>> override_tets_;  // mesh tets of each of the scene's material regions
+  Supports supports_;
+  NodalField initial_;  // control points, m
+  std::vector<AppliedLoad> loads_;
+  NodalField external_forces_;
+  Surface surface_;
+  std::vector<MaterialPoint> probes_;
+  StepSettings settings_;
+  State state_;
+  std::unique_ptr<Workspace> workspace_;
+
+  std::vector<Material> materials(const Material& base) const;
 };
 
 }  // namespace bezier_fem

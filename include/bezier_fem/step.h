@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <functional>
 #include <vector>
 
 #include "bezier_fem/boundary_conditions.h"
@@ -23,21 +24,87 @@ struct State
   long steps = 0;
 };
 
-/** Median-able times of one step, in ms. */
+/** What a step needs to know beside the model; may change from step to step. */
+struct StepSettings
+{
+  double time_step;  // s
+  Elasticity elasticity;
+  Scene::Damping damping;
+  Eigen::Vector3d gravity;  // m/s^2
+  Scene::Solver solver;
+};
+
+/** Wall-clock times in ms. */
 struct StageTimes
 {
-  double rotation = 0, assembly = 0, force = 0, solve = 0, total = 0;
+  double rotation = 0;  // rotations of the elements
+  double assembly = 0;  // the system's diagonal blocks
+  double force = 0;     // right-hand side
+  double solve = 0;
+  double total = 0;
 };
 
 struct StepReport
 {
-  int substeps = 1;         // 1: exactly one lagged step
-  double turn = 0;          // rad, the largest angle that an element turned by in a (sub-)step
-  int iterations = 0;       // of the linear solver, in all
-  double residual = 0;      // worst of the sub-steps, relative as the tolerance measures it
-  bool converged = true;
-  bool finite = true;       // false: the state is lost
+  int substeps = 1;       // 1: exactly one lagged step
+  double turn = 0;        // rad: the largest angle that an element turned by in an accepted (sub-)step
+  int iterations = 0;     // of the linear solver, in all
+  double residual = 0;    // worst (sub-)step, relative, as the tolerance measures it
+  bool converged = true;  // every residual within the tolerance
+  bool finite = true;     // false: the state is lost
   StageTimes ms;
 };
+
+/** Scratch memory of the steps of one body, and what they remember of each other to start from. */
+struct Workspace
+{
+  Workspace(const Model& model, int threads);
+
+  /** To be called when the state was not made by the last step. */
+  void forgetHistory() { history = 0; }
+
+  Partition partition;
+  ConjugateGradient solver;
+  NodalField balance;  // force (N) of the supports on each control point in the last step; meaningful where held
+
+  NodalField load, force, rhs, led, change, last_change, last_but_one_change, x_before, v_before;
+  Rotations candidate;
+  AlignedVector<double> turned;
+  int history = 0;  // how many of last_change, last_but_one_change hold
+};
+
+/** The largest angle that an element may turn by in one lagged step, rad; METHOD: inflation by sqrt(1 + angle^2). */
+constexpr double MAX_TURN = 0.2;
+/** A step is cut into at most so many sub-steps. */
+constexpr int MAX_SUBSTEPS = 32;
+
+/**
+ * One step of linearised implicit Euler (Baraff and Witkin 1998) with the rotations of its start:
+ *     (M + dt^2 K' + dt D) dv = dt (f_ext - f_el(x) - dt K' v - D v),   v += dv,   x += dt v,   D = a M + b K'
+ * (Weber et al. 2011, Eq. 18, whose right-hand side lacks the elastic force at the start of the step). Led and held
+ * components enter as known dv.
+ *
+ * A step in which an element turns by more than MAX_TURN is taken back and done in sub-steps short enough, down to
+ * time_step / MAX_SUBSTEPS.
+ *
+ * @param external  force on control points, N, beside gravity and loads
+ */
+StepReport implicitEulerStep(const Model& model, const StepSettings& settings, const Supports& supports,
+                             const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                             Workspace& workspace);
+
+/**
+ * Moves x to the static equilibrium f_el(x) = f_ext(x) of the loads of the current time and stops the body. Converged
+ * when |f_ext - f_el| over the components that are free is at most the tolerance times |f_ext| plus the same norm of the
+ * supports' forces.
+ * @param progress  called before each iteration with the relative residual; may be empty
+ */
+StepReport solveStatic(const Model& model, const StepSettings& settings, const Supports& supports,
+                       const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                       Workspace& workspace, const std::function<void(int, double)>& progress);
+
+/** x, v, rotations and time of a body that starts at the positions x, in m, at time 0, with the velocity v, in m/s. */
+State startState(const Model& model, const StepSettings& settings, const Supports& supports, const NodalField& x,
+                 const Eigen::Vector3d& velocity, Workspace& workspace);
 
 }  // namespace bezier_fem

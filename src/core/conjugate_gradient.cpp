@@ -107,6 +107,7 @@ SolveReport ConjugateGradient::solve(const Model& model, const Partition& partit
     report.residual = scale;
     return report;
   }
+  bool may_restart = true;
   while (true)
   {
     systemProduct(model, partition, rotations, alpha_, beta_, u, q_);
@@ -120,6 +121,14 @@ SolveReport ConjugateGradient::solve(const Model& model, const Partition& partit
     double rz = sumOverThreads(partition, [&](int begin, int end) {
       return kernel.advance(begin, end, 0, p_.data(), q_.data(), inverse_.data(), z_.data(), r_.data(), z_.data());
     });
+    if (may_restart && rz > scale * scale)
+    {
+      // The start value is worse than none.
+      may_restart = false;
+      u.setZero();
+      continue;
+    }
+    may_restart = false;
     report.residual = std::sqrt(rz) / scale;
     report.converged = report.residual <= tolerance;
     if (report.converged || report.iterations >= max_iterations || !std::isfinite(rz)) return report;

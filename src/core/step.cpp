@@ -1,0 +1,195 @@
+#include "bezier_fem/step.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+#include "bezier_fem/element_operator.h"
+
+namespace bezier_fem
+{
+namespace
+{
+class Stopwatch
+{
+public:
+  /** Adds the time since the last lap to `ms`. */
+  void lap(double& ms)
+  {
+    const auto now = std::chrono::steady_clock::now();
+    ms += std::chrono::duration<double, std::milli>(now - last_).count();
+    last_ = now;
+  }
+
+private:
+  std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
+};
+
+/** Gravity, the scene's loads and the external forces at a time, in N. */
+void gatherLoads(const Model& model, const StepSettings& settings, const std::vector<AppliedLoad>& loads,
+                 const NodalField& external, double time, const NodalField& x, NodalField& f)
+{
+  f.matrix() = external.matrix();
+  for (int i = 0; i < model.num_nodes; ++i) f[i] += model.node_mass[i] * settings.gravity;
+  addLoads(model, loads, time, x, f);
+}
+
+/** The first rows of a field that has ghost rows behind them. */
+auto nodes(NodalField& field, const Model& model) { return field.matrix().leftCols(model.num_nodes); }
+auto nodes(const NodalField& field, const Model& model) { return field.matrix().leftCols(model.num_nodes); }
+
+/** One lagged step of length h; updates x and v, not the rotations. */
+void laggedStep(const Model& model, const StepSettings& settings, const Supports& supports,
+                const std::vector<AppliedLoad>& loads, const NodalField& external, double step_begin, double h,
+                State& state, Workspace& w, StepReport& report)
+{
+  Stopwatch watch;
+  const double damp_m = settings.damping.mass, damp_k = settings.damping.stiffness;
+
+  // f_el(x) + (h + b) K' v = f_el(x + (h + b) v), because f_el is affine while the rotations are held.
+  gatherLoads(model, settings, loads, external, state.time + h / 2, state.x, w.load);
+  w.change.matrix() = state.x.matrix() + (h + damp_k) * state.v.matrix();
+  elasticForce(model, w.partition, state.rotations, w.change, w.force);
+  w.rhs.matrix() = h * (w.load.matrix() - nodes(w.force, model));
+  if (damp_m > 0)
+  {
+    systemProduct(model, w.partition, state.rotations, h * damp_m, 0, state.v, w.force);
+    w.rhs.matrix() -= nodes(w.force, model);
+  }
+  watch.lap(report.ms.force);
+
+  const double alpha = 1 + h * damp_m, beta = h * (h + damp_k);
+  w.solver.prepare(model, w.partition, state.rotations, supports.held, alpha, beta, 1e-3 * h);
+  watch.lap(report.ms.assembly);
+
+  // Led components: the dv that takes them to where they have to be.
+  w.led.matrix() = state.x.matrix() + h * state.v.matrix();
+  w.change.matrix() = w.led.matrix();
+  applySupports(supports, state.time + h, (state.time + h - step_begin) / settings.time_step, w.led);
+  w.led.matrix() -= w.change.matrix();
+  w.led.matrix() /= h;
+  const bool led = !(w.led.matrix().array() == 0).all();
+  if (led)
+  {
+    systemProduct(model, w.partition, state.rotations, alpha, beta, w.led, w.force);
+    w.rhs.matrix() -= nodes(w.force, model);
+  }
+
+  if (w.history == 2 && h == settings.time_step)
+  {
+    w.change.matrix() = 2 * w.last_change.matrix() - w.last_but_one_change.matrix();
+  }
+  else
+  {
+    w.change.setZero();
+  }
+  const SolveReport solved =
+      w.solver.solve(model, w.partition, state.rotations, w.rhs, w.change, settings.solver.tolerance,
+                     std::max(1, settings.solver.max_iterations));
+  report.iterations += solved.iterations;
+  report.residual = std::max(report.residual, solved.residual);
+  report.converged = report.converged && solved.converged;
+  w.balance.matrix() = nodes(w.solver.residual(), model) / -h;
+
+  state.v.matrix() += w.change.matrix();
+  if (led) state.v.matrix() += w.led.matrix();
+  state.x.matrix() += h * state.v.matrix();
+  report.finite = state.x.matrix().allFinite();
+  watch.lap(report.ms.solve);
+}
+}  // namespace
+
+Workspace::Workspace(const Model& model, int threads)
+  : partition(model, threads)
+  , solver(model, partition)
+  , balance(model.num_nodes)
+  , load(model.num_nodes)
+  , force(partition.rows())
+  , rhs(model.num_nodes)
+  , led(model.num_nodes)
+  , change(model.num_nodes)
+  , last_change(model.num_nodes)
+  , last_but_one_change(model.num_nodes)
+  , x_before(model.num_nodes)
+  , v_before(model.num_nodes)
+  , candidate(restRotations(model))
+  , turned(static_cast<std::size_t>(model.num_blocks) * LANES)
+{
+}
+
+StepReport implicitEulerStep(const Model& model, const StepSettings& settings, const Supports& supports,
+                             const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                             Workspace& w)
+{
+  StepReport report;
+  report.substeps = 0;
+  Stopwatch total, watch;
+  const double begin = state.time, end = settings.time_step * static_cast<double>(state.steps + 1);
+  const double shortest = settings.time_step / MAX_SUBSTEPS;
+  double h = settings.time_step;
+  while (report.finite && (report.substeps == 0 || end - state.time > 0.5 * shortest))
+  {
+    h = std::min(h, end - state.time);
+    w.x_before.matrix() = state.x.matrix();
+    w.v_before.matrix() = state.v.matrix();
+    StepReport attempt = report;
+    laggedStep(model, settings, supports, loads, external, begin, h, state, w, attempt);
+
+    if (settings.elasticity == Elasticity::COROTATED && attempt.finite)
+    {
+      watch = Stopwatch();
+      const double turn = updateRotations(model, w.partition, state.x, state.rotations, w.candidate, w.turned);
+      watch.lap(attempt.ms.rotation);
+      if (turn > MAX_TURN && h > 1.001 * shortest)
+      {
+        // A lagged step turns an element that spins at w by atan(w h).
+        const double pieces = std::ceil(std::tan(std::min(turn, 1.5)) / MAX_TURN);
+        h = std::max(h / std::max(pieces, 2.0), shortest);
+        state.x.matrix() = w.x_before.matrix();
+        state.v.matrix() = w.v_before.matrix();
+        report.iterations = attempt.iterations;
+        report.ms = attempt.ms;
+        continue;
+      }
+      attempt.turn = std::max(attempt.turn, turn);
+      std::swap(state.rotations, w.candidate);
+    }
+    report = attempt;
+    ++report.substeps;
+    state.time += h;
+  }
+  ++state.steps;
+  state.time = settings.time_step * static_cast<double>(state.steps);
+
+  std::swap(w.last_change, w.last_but_one_change);
+  std::swap(w.last_change, w.change);
+  w.history = report.substeps == 1 ? std::min(w.history + 1, 2) : 0;
+  total.lap(report.ms.total);
+  return report;
+}
+
+State startState(const Model& model, const StepSettings& settings, const Supports& supports, const NodalField& x,
+                 const Eigen::Vector3d& velocity, Workspace& w)
+{
+  State state;
+  state.x = x;
+  applySupports(supports, 0, 0, state.x);
+  state.v = NodalField(model.num_nodes);
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    for (int axis = 0; axis < 3; ++axis)
+    {
+      if (!(supports.held[i] >> axis & 1)) state.v[i][axis] = velocity[axis];
+    }
+  }
+  state.rotations = restRotations(model);
+  if (settings.elasticity == Elasticity::COROTATED)
+  {
+    const Rotations rest = state.rotations;
+    updateRotations(model, w.partition, state.x, rest, state.rotations, w.turned);
+  }
+  w.forgetHistory();
+  return state;
+}
+
+}  // namespace bezier_fem

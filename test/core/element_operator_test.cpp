@@ -1,0 +1,345 @@
+#include "bezier_fem/element_operator.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Dense>
+#include <Eigen/Eigenvalues>
+
+#include "bezier_fem/measures.h"
+#include "core/bar.h"
+#include "kernels.h"
+
+namespace bezier_fem
+{
+namespace
+{
+using Eigen::Matrix3d;
+using Eigen::MatrixXd;
+using Eigen::Vector3d;
+
+class BothElements : public testing::TestWithParam<Element>
+{
+};
+INSTANTIATE_TEST_SUITE_P(Elements, BothElements, testing::Values(Element::LINEAR, Element::QUADRATIC),
+                         [](const auto& p) { return std::string(test::name(p.param)); });
+
+constexpr Material STIFF{3e6, 0.45, 1100};
+
+/** K_IJ of one element by quadrature of the definition, integral of C(grad B_I) : grad B_J, from the gradients r. */
+MatrixXd denseStiffness(int nodes, const Eigen::Matrix<double, 3, 4>& r, double volume, const Material& m)
+{
+  // Four points, exact for the products of two linear gradients.
+  const double a = (5 + 3 * std::sqrt(5.0)) / 20, b = (5 - std::sqrt(5.0)) / 20;
+  MatrixXd K = MatrixXd::Zero(3 * nodes, 3 * nodes);
+  for (int q = 0; q < 4; ++q)
+  {
+    Eigen::Vector4d lambda = Eigen::Vector4d::Constant(b);
+    lambda[q] = a;
+    Eigen::Matrix3Xd grad(3, nodes);
+    for (int c = 0; c < 4; ++c) grad.col(c) = nodes == 4 ? Vector3d(r.col(c)) : Vector3d(2 * lambda[c] * r.col(c));
+    for (int e = 0; nodes == 10 && e < EDGES; ++e)
+    {
+      const auto [c, d] = EDGE_CORNERS[e];
+      grad.col(CORNERS + e) = 2 * (lambda[c] * r.col(d) + lambda[d] * r.col(c));
+    }
+    for (int I = 0; I < nodes; ++I)
+    {
+      for (int J = 0; J < nodes; ++J)
+      {
+        const Vector3d gi = grad.col(I), gj = grad.col(J);
+        K.block<3, 3>(3 * I, 3 * J) += volume / 4 *
+                                       (lameLambda(m) * gi * gj.transpose() + lameMu(m) * gj * gi.transpose() +
+                                        lameMu(m) * gi.dot(gj) * Matrix3d::Identity());
+      }
+    }
+  }
+  return K;
+}
+
+/** rho V times the integral of B_I B_J / V = G(I,J)/35 (METHOD: products of binomials). */
+MatrixXd denseMass(int nodes, double mass)
+{
+  const auto exponents = [&](int I) {
+    Eigen::Vector4i e = Eigen::Vector4i::Zero();
+    if (I < CORNERS)
+    {
+      e[I] = 2;
+    }
+    else
+    {
+      ++e[EDGE_CORNERS[I - CORNERS][0]];
+      ++e[EDGE_CORNERS[I - CORNERS][1]];
+    }
+    return e;
+  };
+  const auto binomial = [](int n, int k) { return std::round(std::tgamma(n + 1) / std::tgamma(k + 1) / std::tgamma(n - k + 1)); };
+  MatrixXd M = MatrixXd::Zero(3 * nodes, 3 * nodes);
+  for (int I = 0; I < nodes; ++I)
+  {
+    for (int J = 0; J < nodes; ++J)
+    {
+      double value = (I == J ? 2.0 : 1.0) / 20;
+      if (nodes == 10)
+      {
+        value = 1.0 / 35 / 6;
+        for (int c = 0; c < 4; ++c) value *= binomial(exponents(I)[c] + exponents(J)[c], exponents(I)[c]);
+      }
+      M.block<3, 3>(3 * I, 3 * J) = mass * value * Matrix3d::Identity();
+    }
+  }
+  return M;
+}
+
+/** alpha M + beta K', assembled from dense element matrices. */
+MatrixXd denseSystem(const Model& model, const Rotations& rotations, double alpha, double beta)
+{
+  MatrixXd A = MatrixXd::Zero(3L * model.num_nodes, 3L * model.num_nodes);
+  for (int t = 0; t < model.num_tets; ++t)
+  {
+    const Material& m = model.materials[t];
+    const MatrixXd element = alpha * denseMass(model.nodes_per_tet, m.density * model.volumes[t]) +
+                             beta * denseStiffness(model.nodes_per_tet, rotations.gradient(t), model.volumes[t], m);
+    for (int I = 0; I < model.nodes_per_tet; ++I)
+    {
+      for (int J = 0; J < model.nodes_per_tet; ++J)
+      {
+        A.block<3, 3>(3L * model.nodesOf(t)[I], 3L * model.nodesOf(t)[J]) += element.block<3, 3>(3L * I, 3L * J);
+      }
+    }
+  }
+  return A;
+}
+
+MatrixXd byColumns(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
+                   double beta)
+{
+  MatrixXd A(3L * model.num_nodes, 3L * model.num_nodes);
+  NodalField unit(model.num_nodes), column(partition.rows());
+  for (int j = 0; j < 3 * model.num_nodes; ++j)
+  {
+    unit.setZero();
+    unit[j / 3][j % 3] = 1;
+    systemProduct(model, partition, rotations, alpha, beta, unit, column);
+    for (int i = 0; i < model.num_nodes; ++i) A.block<3, 1>(3L * i, j) = column[i];
+  }
+  return A;
+}
+
+/** Some state with every element rotated and deformed. */
+struct Bent
+{
+  Bent(const Model& model, const Partition& partition) : x(model.rest), rotations(restRotations(model))
+  {
+    const NodalField noise = test::randomField(model.num_nodes, 5);
+    for (int i = 0; i < model.num_nodes; ++i)
+    {
+      const Vector3d X = model.rest[i];
+      x[i] = Eigen::AngleAxisd(X.z(), Vector3d(1, 1, 0).normalized()) * X + 0.03 * noise[i];
+    }
+    AlignedVector<double> turned(static_cast<std::size_t>(model.num_blocks) * LANES);
+    const Rotations before = rotations;
+    updateRotations(model, partition, x, before, rotations, turned);
+  }
+  NodalField x;
+  Rotations rotations;
+};
+
+TEST_P(BothElements, OperatorEqualsItsDenseReference)
+{
+  const Model model = test::boxModel(test::irregularBox({2, 1, 2}, {0.5, 0.3, 0.6}), GetParam(), STIFF);
+  const Partition partition(model, 1);
+  const Bent bent(model, partition);
+  const MatrixXd reference = denseSystem(model, bent.rotations, 1.5, 0.02);
+  const MatrixXd A = byColumns(model, partition, bent.rotations, 1.5, 0.02);
+  EXPECT_LT((A - reference).norm(), 1e-13 * reference.norm());
+  EXPECT_LT((A - A.transpose()).norm(), 1e-14 * reference.norm());
+
+  AlignedVector<double> blocks(static_cast<std::size_t>(partition.rows()) * kernels::DIAGONAL_STRIDE);
+  systemDiagonal(model, partition, bent.rotations, 1.5, 0.02, blocks);
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    const double* d = blocks.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i;
+    Matrix3d block;
+    block << d[0], d[1], d[2], d[1], d[3], d[4], d[2], d[4], d[5];
+    const Matrix3d expected = reference.block<3, 3>(3L * i, 3L * i);
+    EXPECT_LT((block - expected).norm(), 1e-13 * expected.norm());
+  }
+}
+
+TEST_P(BothElements, EveryInstructionSetAndThreadCountAgrees)
+{
+  const Model model = test::boxModel(test::irregularBox({3, 3, 5}, {0.5, 0.3, 0.6}), GetParam(), STIFF);
+  const Partition one(model, 1);
+  const Bent bent(model, one);
+  const NodalField u = test::randomField(model.num_nodes, 8);
+  NodalField expected(one.rows());
+  systemProduct(model, one, bent.rotations, 2, 0.3, u, expected);
+  for (const int threads : {2, 3, 7})
+  {
+    const Partition partition(model, threads);
+    ASSERT_EQ(partition.threads(), threads);
+    NodalField product(partition.rows()), again(partition.rows());
+    systemProduct(model, partition, bent.rotations, 2, 0.3, u, product);
+    const auto difference = product.matrix().leftCols(model.num_nodes) - expected.matrix();
+    EXPECT_LT(difference.norm(), 1e-14 * expected.matrix().norm());
+    systemProduct(model, partition, bent.rotations, 2, 0.3, u, again);
+    EXPECT_EQ((again.matrix() - product.matrix()).norm(), 0);
+  }
+  int sets = 0;
+  for (const char* name : {"portable", "avx2", "avx512"})
+  {
+    const kernels::Table* table = kernels::tableByName(name);
+    if (!table) continue;
+    ++sets;
+    const kernels::Elements elements{model.nodes_per_tet, model.block_nodes.data(), one.scatter(),
+                                     model.block_coefficients.data()};
+    NodalField product(model.num_nodes), force(model.num_nodes), force_reference(model.num_nodes);
+    table->add_product(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2, 0.3, u.data(), product.data());
+    EXPECT_LT((product.matrix() - expected.matrix()).norm(), 1e-14 * expected.matrix().norm()) << name;
+    table->add_force(elements, 0, model.num_blocks, bent.rotations.gradients.data(), bent.x.data(), force.data());
+    elasticForce(model, one, bent.rotations, bent.x, force_reference);
+    EXPECT_LT((force.matrix() - force_reference.matrix()).norm(), 1e-13 * force_reference.matrix().norm()) << name;
+
+    std::vector<double> diagonal(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes, 0.0);
+    AlignedVector<double> diagonal_reference(diagonal.size());
+    table->add_diagonal(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2, 0.3, diagonal.data());
+    systemDiagonal(model, one, bent.rotations, 2, 0.3, diagonal_reference);
+    for (std::size_t k = 0; k < diagonal.size(); ++k)
+    {
+      ASSERT_NEAR(diagonal[k], diagonal_reference[k], 1e-13 * std::abs(diagonal_reference[k - k % 8])) << name;
+    }
+    Rotations rotations = restRotations(model);
+    AlignedVector<double> turned(static_cast<std::size_t>(model.num_blocks) * LANES);
+    const Rotations rest = restRotations(model);
+    table->update_rotations(elements, 0, model.num_blocks, model.block_gradients.data(), bent.x.data(),
+                            rest.matrices.data(), rotations.matrices.data(), rotations.gradients.data(), turned.data(),
+                            rotations.unique.data());
+    for (int t = 0; t < model.num_tets; ++t)
+    {
+      if (rotations.unique[t] == kernels::NEEDS_FALLBACK) continue;
+      ASSERT_LT((rotations.matrix(t) - bent.rotations.matrix(t)).norm(), 1e-12) << name;
+    }
+  }
+  EXPECT_GE(sets, 1);
+}
+
+TEST_P(BothElements, OneElementHasSixRigidModes)
+{
+  TetMesh mesh;
+  mesh.corners.resize(3, 4);
+  mesh.corners << 0, 1, 0.2, 0.1, 0, 0.1, 0.9, 0.3, 0, 0.2, -0.1, 1.1;
+  mesh.tets.resize(4, 1);
+  mesh.tets << 0, 1, 2, 3;
+  mesh.corner_ids = {1, 2, 3, 4};
+  const Model model = test::boxModel(mesh, GetParam(), STIFF);
+  const Partition partition(model, 1);
+  const Bent bent(model, partition);
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(byColumns(model, partition, bent.rotations, 0, 1));
+  const auto& values = eigen.eigenvalues();
+  EXPECT_LT(values.head<6>().cwiseAbs().maxCoeff(), 1e-12 * values.tail<1>()[0]);
+  EXPECT_GT(values[6], 1e-4 * values.tail<1>()[0]);
+}
+
+TEST_P(BothElements, RigidMotionGivesNoForce)
+{
+  const Model model = test::boxModel(test::irregularBox({3, 2, 3}, {0.5, 0.3, 0.6}), GetParam(), STIFF);
+  const Partition partition(model, 1);
+  std::mt19937 random(11);
+  AlignedVector<double> turned(static_cast<std::size_t>(model.num_blocks) * LANES);
+  // The force that a strain of one would give.
+  NodalField stretched = model.rest, force(partition.rows());
+  stretched.matrix() *= 2;
+  elasticForce(model, partition, restRotations(model), stretched, force);
+  const double scale = force.matrix().cwiseAbs().maxCoeff();
+  for (int k = 0; k < 20; ++k)
+  {
+    const Matrix3d R = test::randomRotation(random);
+    NodalField x = model.rest;
+    x.matrix().topRows<3>() = (R * model.rest.matrix().topRows<3>()).colwise() + Vector3d(3, -2, 1);
+    Rotations rotations = restRotations(model);
+    updateRotations(model, partition, x, restRotations(model), rotations, turned);
+    elasticForce(model, partition, rotations, x, force);
+    EXPECT_LT(force.matrix().cwiseAbs().maxCoeff(), 1e-13 * scale);
+    EXPECT_LT(elasticEnergy(model, rotations, x), 1e-20 * scale);
+  }
+}
+
+TEST_P(BothElements, PatchTest)
+{
+  // A linear displacement field gives constant stress and no force inside, on an irregular mesh.
+  const Model model = test::boxModel(test::irregularBox({3, 3, 3}, {1, 1, 1}), GetParam(), STIFF);
+  const Partition partition(model, 1);
+  Matrix3d gradient;
+  gradient << 0.01, 0.002, -0.003, 0.004, -0.02, 0.005, 0.006, -0.007, 0.015;
+  NodalField x = model.rest;
+  x.matrix().topRows<3>() += gradient * model.rest.matrix().topRows<3>();
+  const Rotations rotations = restRotations(model);
+  const Matrix3d strain = (gradient + gradient.transpose()) / 2;
+  const Matrix3d s = lameLambda(STIFF) * strain.trace() * Matrix3d::Identity() + 2 * lameMu(STIFF) * strain;
+  const Stress expected = (Stress() << s(0, 0), s(1, 1), s(2, 2), s(0, 1), s(1, 2), s(0, 2)).finished();
+  const auto stress = nodalStress(model, rotations, x);
+  EXPECT_LT((stress.colwise() - expected).cwiseAbs().maxCoeff(), 1e-11 * s.norm());
+
+  NodalField force(partition.rows());
+  elasticForce(model, partition, rotations, x, force);
+  const double scale = force.matrix().cwiseAbs().maxCoeff();
+  int inside = 0;
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    const Vector3d X = model.rest[i];
+    if (X.minCoeff() < 1e-9 || X.maxCoeff() > 1 - 1e-9) continue;
+    ++inside;
+    EXPECT_LT(force[i].norm(), 1e-12 * scale);
+  }
+  EXPECT_GT(inside, 7);
+  EXPECT_NEAR(elasticEnergy(model, rotations, x), 0.5 * s.cwiseProduct(strain).sum(), 1e-12 * s.norm());
+}
+
+TEST_P(BothElements, ForceIsTheGradientOfTheEnergyWithRotationsHeld)
+{
+  const Model model = test::boxModel(test::irregularBox({2, 2, 2}, {1, 1, 1}), GetParam(), STIFF);
+  const Partition partition(model, 1);
+  const Bent bent(model, partition);
+  NodalField force(partition.rows());
+  elasticForce(model, partition, bent.rotations, bent.x, force);
+  const NodalField direction = test::randomField(model.num_nodes, 12);
+  NodalField forward = bent.x, back = bent.x;
+  forward.matrix() += 1e-3 * direction.matrix();
+  back.matrix() -= 1e-3 * direction.matrix();
+  // The energy is quadratic: the central difference is exact.
+  const double slope = (elasticEnergy(model, bent.rotations, forward) - elasticEnergy(model, bent.rotations, back)) / 2e-3;
+  const double work = force.matrix().cwiseProduct(direction.matrix()).sum();
+  EXPECT_NEAR(slope, work, 1e-9 * std::abs(work));
+}
+
+TEST_P(BothElements, MassGivesKineticEnergyMomentumAndWeight)
+{
+  const Model model = test::boxModel(test::irregularBox({2, 2, 2}, {1, 2, 1}), GetParam(), STIFF);
+  const Partition partition(model, 1);
+  EXPECT_NEAR(model.volume(), 2, 1e-12);
+  EXPECT_NEAR(model.mass(), 2 * STIFF.density, 1e-9);
+  const NodalField v = test::randomField(model.num_nodes, 13);
+  NodalField product(partition.rows());
+  systemProduct(model, partition, restRotations(model), 1, 0, v, product);
+  EXPECT_NEAR(kineticEnergy(model, v), product.matrix().cwiseProduct(v.matrix()).sum() / 2, 1e-9);
+  NodalField ones(model.num_nodes);
+  ones.matrix().row(1).setOnes();
+  systemProduct(model, partition, restRotations(model), 1, 0, ones, product);
+  for (int i = 0; i < model.num_nodes; ++i) EXPECT_NEAR(product[i].y(), model.node_mass[i], 1e-12 * model.mass());
+  EXPECT_NEAR(gravityEnergy(model, {0, 0, -9.81}, model.rest), model.mass() * 9.81 * 0.5, 0.02 * model.mass() * 9.81);
+}
+
+TEST_P(BothElements, FarFromTheOriginIsNoDifferent)
+{
+  const Model model = test::boxModel(test::irregularBox({2, 2, 2}, {1, 1, 1}), GetParam(), STIFF);
+  const Partition partition(model, 1);
+  const Bent bent(model, partition);
+  NodalField here(partition.rows()), there(partition.rows()), moved = bent.x;
+  elasticForce(model, partition, bent.rotations, bent.x, here);
+  moved.matrix().topRows<3>().colwise() += Vector3d(1e4, -1e4, 1e4);
+  elasticForce(model, partition, bent.rotations, moved, there);
+  EXPECT_LT((here.matrix() - there.matrix()).norm(), 1e-10 * here.matrix().norm());
+}
+
+}  // namespace
+}  // namespace bezier_fem
