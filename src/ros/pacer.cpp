@@ -11,21 +11,21 @@ constexpr double WINDOW = 1;             // s
 constexpr double SAMPLE_PERIOD = 0.05;   // s
 }  // namespace
 
-void Pacer::advance(const ros::Time& now)
+bool Pacer::advance(const ros::Time& now)
 {
-  if (now.isZero()) return;
-  if (last_ && now > *last_) owed_ += (now - *last_).toSec();
+  if (now.isZero()) return false;
+  const bool jumped_back = last_ && now < *last_;
+  if (last_ && !jumped_back) owed_ += (now - *last_).toSec();
   last_ = now;
   const double largest = std::max(LARGEST_BACKLOG, 2 * time_step_);
-  if (owed_ <= largest) return;
-  dropped_ += owed_ - largest;
-  owed_ = largest;
+  dropped_ += std::max(owed_ - largest, 0.0);
+  owed_ = std::min(owed_, largest);
+  return jumped_back;
 }
 
-ros::Time Pacer::stateTime() const
+ros::Time Pacer::stateTime(const ros::Time& now) const
 {
-  const ros::Time last = last_.value_or(ros::Time());
-  return last.toSec() > owed_ ? last - ros::Duration(owed_) : last;
+  return now.toSec() > owed_ ? now - ros::Duration(owed_) : now;
 }
 
 void RealTimeFactor::add(double simulated, double clock)

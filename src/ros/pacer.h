@@ -16,14 +16,14 @@ class Pacer
 public:
   explicit Pacer(double time_step) : time_step_(time_step) {}
 
-  /** Tells the clock's time. A clock that is not running yet (zero) or jumps back owes nothing. */
-  void advance(const ros::Time& now);
+  /** Tells the clock's time; true if it jumped back. Neither that nor a clock not running yet (zero) owes a step. */
+  bool advance(const ros::Time& now);
 
   bool stepDue() const { return owed_ >= time_step_; }
   void stepped() { owed_ -= time_step_; }
 
   /** The clock's time that the state is of after the steps made so far. */
-  ros::Time stateTime() const;
+  ros::Time stateTime(const ros::Time& now) const;
 
   /** Time until the next step is due, s. */
   double untilDue() const { return time_step_ - owed_; }
