@@ -30,7 +30,8 @@ enum class Integrator
   STATIC
 };
 
-/** Selects points, faces or elements of the rest shape, in frame_id, after scale and pose. Exactly one member is set. */
+/** Selects points, faces or elements of the rest shape, in frame_id, after scale and pose. Exactly one member is set.
+ */
 struct Region
 {
   struct Box
@@ -51,7 +52,7 @@ struct Region
 struct Material
 {
   double young;    // Pa
-  double poisson;  // 0 <= poisson < 0.5
+  double poisson;  // -1 < poisson < 0.5
   double density;  // kg/m^3
 };
 
@@ -63,12 +64,12 @@ struct Scene
 {
   struct Model
   {
-    std::string file;                                // absolute
-    std::optional<double> cell_size;                 // m, after scaling; for surfaces
-    double scale = 1;                                // 1 where longest_side is set
-    std::optional<double> longest_side;              // m
-    Eigen::Vector3d xyz = Eigen::Vector3d::Zero();   // m
-    Eigen::Vector3d rpy = Eigen::Vector3d::Zero();   // rad, fixed axes: R = Rz(yaw) Ry(pitch) Rx(roll)
+    std::string file;                               // absolute
+    std::optional<double> cell_size;                // m, after scaling; for surfaces
+    double scale = 1;                               // 1 where longest_side is set
+    std::optional<double> longest_side;             // m
+    Eigen::Vector3d xyz = Eigen::Vector3d::Zero();  // m
+    Eigen::Vector3d rpy = Eigen::Vector3d::Zero();  // rad, fixed axes: R = Rz(yaw) Ry(pitch) Rx(roll)
   } model;
 
   Element element = Element::QUADRATIC;
@@ -101,8 +102,8 @@ struct Scene
 
   struct Initial
   {
-    std::optional<std::string> positions;                 // absolute path of a CSV file: node,x,y,z
-    Eigen::Vector3d velocity = Eigen::Vector3d::Zero();   // m/s
+    std::optional<std::string> positions;                // absolute path of a CSV file: node,x,y,z
+    Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  // m/s
   } initial;
 
   struct Fixed
@@ -120,11 +121,11 @@ struct Scene
   {
     std::string key;  // "loads[0]", for messages
     Region region;
-    std::optional<Eigen::Vector3d> force;     // N in all
-    std::optional<Eigen::Vector3d> traction;  // Pa; exactly one of force, traction and pressure is set
-    std::optional<double> pressure;           // Pa, into the body
-    double from = 0;                                          // s
-    double until = std::numeric_limits<double>::infinity();   // s
+    std::optional<Eigen::Vector3d> force;                    // N in all
+    std::optional<Eigen::Vector3d> traction;                 // Pa; exactly one of force, traction and pressure is set
+    std::optional<double> pressure;                          // Pa, into the body
+    double from = 0;                                         // s
+    double until = std::numeric_limits<double>::infinity();  // s
   };
   std::vector<Load> loads;
 
@@ -167,7 +168,7 @@ Scene parseScene(const std::string& yaml, const std::string& directory, const st
 /** One row of a motion file: the region's pose relative to rest. */
 struct MotionSample
 {
-  double time;                 // s
+  double time;                  // s
   Eigen::Vector3d translation;  // m
   Eigen::Vector4d quaternion;   // x, y, z, w; unit
 };

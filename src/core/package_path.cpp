@@ -109,6 +109,7 @@ std::optional<fs::path> search(const std::string& name)
 
 std::optional<std::string> findPackage(const std::string& name)
 {
+  if (name.empty()) return {};
   const std::optional<fs::path> found = search(name);
   if (!found) return {};
   return fs::absolute(*found).lexically_normal().string();
