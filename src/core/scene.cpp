@@ -1,12 +1,13 @@
 #include "bezier_fem/scene.h"
 
 #include <algorithm>
+#include <array>
 #include <charconv>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <initializer_list>
-#include <numeric>
+#include <limits>
 #include <set>
 #include <string_view>
 
@@ -188,7 +189,7 @@ std::string readFile(const Value& value)
     const auto folder = findPackage(name);
     if (!folder)
       value.error("is " + excerpt(text) + ", but no package " + excerpt(name) +
-                  " is below ROS_PACKAGE_PATH, CMAKE_PREFIX_PATH" + " or the place of this program");
+                  " is below ROS_PACKAGE_PATH, in CMAKE_PREFIX_PATH or around this program");
     path = *folder + text.substr(slash);
   }
   std::error_code failed;
@@ -261,15 +262,13 @@ public:
     if (const auto found = find(key)) target = read(*found, args...);
   }
 
-  /** The one of the keys that the map has. */
-  std::string oneOf(const Names& keys) const
+  void requireOneOf(const Names& keys) const
   {
     Names given;
     for (const std::string& key : keys)
       if (has(key)) given.push_back(key);
     if (given.size() != 1)
       value_.error("has " + (given.empty() ? "none" : joined(given)) + ", must have exactly one of " + joined(keys));
-    return given.front();
   }
 
 private:
@@ -335,7 +334,7 @@ std::vector<std::int64_t> readNodes(const Value& value)
 
 Region readRegion(const Map& map, const Names& selectors)
 {
-  map.oneOf(selectors);
+  map.requireOneOf(selectors);
   Region region;
   map.get("box", region.box, readBox);
   map.get("sphere", region.sphere, readSphere);
@@ -355,8 +354,7 @@ Scene::Model readModel(const Value& value)
   model.file = readFile(file);
   map.get("cell_size", model.cell_size, readNumber, POSITIVE);
   if (surface && !model.cell_size)
-    map.require("cell_size",
-                "given for a surface: the edge length of its tetrahedra in m, for instance cell_size: 0.08");
+    map.require("cell_size", "given for a surface: the size of its tetrahedra in m, for instance cell_size: 0.08");
   map.get("scale", model.scale, readNumber, POSITIVE);
   map.get("longest_side", model.longest_side, readNumber, POSITIVE);
   if (map.has("scale") && map.has("longest_side"))
@@ -439,7 +437,7 @@ std::vector<Scene::Load> readLoads(const Value& value)
     Scene::Load& load = loads.emplace_back();
     load.key = entry.key;
     load.region = readRegion(map, POINT_SELECTORS);
-    map.oneOf({"force", "traction", "pressure"});
+    map.requireOneOf({"force", "traction", "pressure"});
     map.get("force", load.force, readVector);
     map.get("traction", load.traction, readVector);
     map.get("pressure", load.pressure, readNumber, ANY);
@@ -558,9 +556,13 @@ std::string readSceneText(const std::string& path, const std::string& source)
   std::ifstream file(path, std::ios::binary);
   if (!file || std::filesystem::is_directory(path, failed))
     throw InputError(source + ": is not a file that can be read");
-  std::string text(LARGEST_FILE + 1, '\0');
-  file.read(text.data(), static_cast<std::streamsize>(text.size()));
-  text.resize(static_cast<std::size_t>(file.gcount()));
+  std::string text;
+  std::array<char, 65536> block;
+  do
+  {
+    file.read(block.data(), block.size());
+    text.append(block.data(), static_cast<std::size_t>(file.gcount()));
+  } while (file && text.size() <= LARGEST_FILE);
   if (text.size() > LARGEST_FILE) throw InputError(source + ": is larger than 16 MiB, which no scene file is");
   return text;
 }

@@ -529,13 +529,17 @@ fixed:
     box: {min: [0, 0, 0], max: &corner [1, 1, 1]}
     axes: [x]
   - {<<: *left, name: right}
+  - {<<: [{name: third, axes: [y]}, *left]}
 probes: {tip: *corner}
 )";
   const Scene scene = parse(yaml);
-  ASSERT_EQ(scene.fixed.size(), 2u);
+  ASSERT_EQ(scene.fixed.size(), 3u);
   EXPECT_EQ(scene.fixed[1].name, "right");
   EXPECT_EQ(scene.fixed[1].region.box->max, Eigen::Vector3d(1, 1, 1));
   EXPECT_FALSE(scene.fixed[1].axes[1]);
+  EXPECT_EQ(scene.fixed[2].name, "third");  // of several merged maps the first wins
+  EXPECT_TRUE(scene.fixed[2].axes[1]);
+  EXPECT_TRUE(scene.fixed[2].region.box);
   EXPECT_EQ(scene.probes[0].second, Eigen::Vector3d(1, 1, 1));
   const Scene overridden = loadScene(write("scene.yaml", yaml), {"probes.tip[0]=5"});
   EXPECT_EQ(overridden.probes[0].second, Eigen::Vector3d(5, 1, 1));
@@ -550,7 +554,8 @@ TEST_F(SceneTest, UnreadableSceneFiles)
   EXPECT_NE(error((folder_ / "gone.yaml").string()).find("gone.yaml: is not a file that can be read"),
             std::string::npos);
   EXPECT_NE(error("").find("is not a file that can be read"), std::string::npos);
-  EXPECT_NE(error("/proc/self/exe").find("not UTF-8 text"), std::string::npos);
+  const std::string program = error(write("program", std::string("ELF\0\1\2", 6)));
+  EXPECT_NE(program.find("program: is not UTF-8 text"), std::string::npos) << program;
   EXPECT_NE(error("/dev/zero").find("larger than"), std::string::npos);
   EXPECT_NE(error(write("empty.yaml", "")).find("empty.yaml: is empty"), std::string::npos);
   EXPECT_NE(error(write("a\nb.yaml", "")).find("a b.yaml: is empty"), std::string::npos);
