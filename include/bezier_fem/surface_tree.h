@@ -34,8 +34,9 @@ public:
   /** All triangles whose box is within `radius` of a point, and so all that are nearer than that. */
   std::vector<int> near(const Eigen::Vector3d& point, double radius) const;
 
+  /** Current corners of a triangle, one a column, m. */
+  Eigen::Matrix3d cornersOf(int triangle) const;
   const Eigen::Matrix3Xi& triangles() const { return triangles_; }
-  const Eigen::Matrix3Xd& points() const { return points_; }
 
 private:
   struct Node  // its left child is the next one

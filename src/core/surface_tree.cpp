@@ -1,6 +1,7 @@
 #include "bezier_fem/surface_tree.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <numeric>
 
@@ -10,41 +11,31 @@ namespace
 {
 constexpr int LEAF_SIZE = 4;
 
-/**
- * Barycentric coordinates of the point of a triangle that is nearest to p, by the Voronoi region that p lies in. A
- * triangle without area ends in one of the regions of its corners or edges, so nothing is divided by zero.
- */
-Eigen::Vector3d nearestOnTriangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
-                                  const Eigen::Vector3d& c)
+/** Barycentric coordinates of the point of a triangle that is nearest to p; the triangle may have no area. */
+Eigen::Vector3d nearestOnTriangle(const Eigen::Vector3d& p, const Eigen::Matrix3d& corners)
 {
-  const Eigen::Vector3d ab = b - a, ac = c - a;
-  const double ab_a = ab.dot(p - a), ac_a = ac.dot(p - a);
-  if (ab_a <= 0 && ac_a <= 0) return {1, 0, 0};
-  const double ab_b = ab.dot(p - b), ac_b = ac.dot(p - b);
-  if (ab_b >= 0 && ac_b <= ab_b) return {0, 1, 0};
-  const double ab_c = ab.dot(p - c), ac_c = ac.dot(p - c);
-  if (ac_c >= 0 && ab_c <= ac_c) return {0, 0, 1};
+  const Eigen::Vector3d a = corners.col(0), ab = corners.col(1) - a, ac = corners.col(2) - a;
+  const Eigen::Vector3d normal = ab.cross(ac);
+  const double area_b = normal.dot((p - a).cross(ac)), area_c = normal.dot(ab.cross(p - a));
+  const double area_a = normal.squaredNorm() - area_b - area_c;
+  if (area_a > 0 && area_b > 0 && area_c > 0)
+    return Eigen::Vector3d(area_a, area_b, area_c) / (area_a + area_b + area_c);
 
-  const double area_c = ab_a * ac_b - ab_b * ac_a;  // of the triangle p a b, up to the same factor for all three
-  if (area_c <= 0 && ab_a >= 0 && ab_b <= 0)
+  Eigen::Vector3d best = Eigen::Vector3d::Zero();
+  double best_square = std::numeric_limits<double>::infinity();
+  for (int k = 0; k < 3; ++k)
   {
-    const double t = ab_a / (ab_a - ab_b);
-    return {1 - t, t, 0};
+    const Eigen::Vector3d from = corners.col(k), edge = corners.col((k + 1) % 3) - from;
+    const double square = edge.squaredNorm();
+    const double t = square > 0 ? std::clamp(edge.dot(p - from) / square, 0.0, 1.0) : 0.0;
+    const double distance = (from + t * edge - p).squaredNorm();
+    if (distance >= best_square) continue;
+    best_square = distance;
+    best.setZero();
+    best[k] = 1 - t;
+    best[(k + 1) % 3] = t;
   }
-  const double area_b = ab_c * ac_a - ab_a * ac_c;
-  if (area_b <= 0 && ac_a >= 0 && ac_c <= 0)
-  {
-    const double t = ac_a / (ac_a - ac_c);
-    return {1 - t, 0, t};
-  }
-  const double area_a = ab_b * ac_c - ab_c * ac_b;
-  const double bc_b = ac_b - ab_b, cb_c = ab_c - ac_c;
-  if (area_a <= 0 && bc_b >= 0 && cb_c >= 0)
-  {
-    const double t = bc_b / (bc_b + cb_c);
-    return {0, 1 - t, t};
-  }
-  return Eigen::Vector3d(area_a, area_b, area_c) / (area_a + area_b + area_c);
+  return best;
 }
 
 }  // namespace
@@ -117,16 +108,22 @@ SurfaceTree::Nearest SurfaceTree::nearest(const Eigen::Vector3d& point) const
     }
     for (int i = node.begin; i < node.end; ++i)
     {
-      const Eigen::Vector3i corners = triangles_.col(order_[i]);
-      const Eigen::Vector3d a = points_.col(corners[0]), b = points_.col(corners[1]), c = points_.col(corners[2]);
-      const Eigen::Vector3d lambda = nearestOnTriangle(point, a, b, c);
-      const double d = (lambda[0] * a + lambda[1] * b + lambda[2] * c - point).squaredNorm();
+      const Eigen::Matrix3d corners = cornersOf(order_[i]);
+      const Eigen::Vector3d lambda = nearestOnTriangle(point, corners);
+      const double d = (corners * lambda - point).squaredNorm();
       if (d >= best_square) continue;
       best_square = d;
       best = {order_[i], lambda, std::sqrt(d)};
     }
   }
   return best;
+}
+
+Eigen::Matrix3d SurfaceTree::cornersOf(int triangle) const
+{
+  Eigen::Matrix3d corners;
+  for (int k = 0; k < 3; ++k) corners.col(k) = points_.col(triangles_(k, triangle));
+  return corners;
 }
 
 std::vector<int> SurfaceTree::near(const Eigen::Vector3d& point, double radius) const

@@ -86,13 +86,6 @@ void sampleTriangle(int triangle, const Eigen::Matrix3d& corners, const Eigen::V
   }
 }
 
-Eigen::Matrix3d cornersOf(const SurfaceTree& tree, int triangle)
-{
-  Eigen::Matrix3d corners;
-  for (int k = 0; k < 3; ++k) corners.col(k) = tree.points().col(tree.triangles()(k, triangle));
-  return corners;
-}
-
 /** Current positions of the samples, 3 x samples. */
 Eigen::Matrix3Xd samplePositions(const Model& model, const NodalField& x, const SurfacePatch& patch)
 {
@@ -128,12 +121,12 @@ SurfacePatch pointPatch(const SurfaceTree& tree, const std::vector<MaterialPoint
 SurfacePatch patchAround(const SurfaceTree& tree, const std::vector<MaterialPoint>& points,
                          const SurfaceTree::Nearest& spot, double radius)
 {
-  const Eigen::Vector3d centre = cornersOf(tree, spot.triangle) * spot.barycentric;
+  const Eigen::Vector3d centre = tree.cornersOf(spot.triangle) * spot.barycentric;
   for (;; radius *= 2)
   {
     PatchBuilder patch(tree, points);
     for (int triangle : tree.near(centre, radius))
-      sampleTriangle(triangle, cornersOf(tree, triangle), centre, radius, patch);
+      sampleTriangle(triangle, tree.cornersOf(triangle), centre, radius, patch);
     // Only where the spot lies among triangles without area is there nothing to push on. A whole surface without area
     // bounds no body, so this ends.
     if (patch.total() > 0) return patch.finish();
@@ -147,13 +140,14 @@ Eigen::Vector3d patchCentre(const Model& model, const NodalField& x, const Surfa
 
 void addWrench(const Model& model, const NodalField& x, const SurfacePatch& patch, const Wrench& wrench, NodalField& f)
 {
-  const Eigen::Matrix3Xd positions = samplePositions(model, x, patch);
-  const Eigen::Vector3d centre = weightedMean(patch, positions);
+  Eigen::Matrix3Xd arms = samplePositions(model, x, patch);  // d_i
+  // Once is not enough: on a small patch far from the origin the rounding of the mean is a force of its own
+  for (int i = 0; i < 2; ++i) arms.colwise() -= weightedMean(patch, arms);
 
   Eigen::Matrix3d inertia = Eigen::Matrix3d::Zero();
   for (std::size_t i = 0; i < patch.samples.size(); ++i)
   {
-    const Eigen::Vector3d d = positions.col(i) - centre;
+    const Eigen::Vector3d d = arms.col(i);
     inertia += patch.samples[i].weight * (d.squaredNorm() * Eigen::Matrix3d::Identity() - d * d.transpose());
   }
   // Samples on a line cannot take up a torque about it: that part is left out rather than made up of huge forces.
@@ -168,7 +162,7 @@ void addWrench(const Model& model, const NodalField& x, const SurfacePatch& patc
   for (std::size_t i = 0; i < patch.samples.size(); ++i)
   {
     const SurfacePatch::Sample& s = patch.samples[i];
-    const Eigen::Vector3d force = s.weight * (wrench.force + alpha.cross(positions.col(i) - centre));
+    const Eigen::Vector3d force = s.weight * (wrench.force + alpha.cross(Eigen::Vector3d(arms.col(i))));
     for (int k = 0; k < 3; ++k) forces.col(s.points[k]) += s.barycentric[k] * force;
   }
   for (std::size_t i = 0; i < patch.points.size(); ++i) addForce(model, patch.points[i], forces.col(i), f);
