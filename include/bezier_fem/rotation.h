@@ -27,11 +27,20 @@ struct Rotations
 {
   AlignedVector<double> matrices;   // [block][9][LANES], row-major, world from rest
   AlignedVector<double> gradients;  // [block][9][LANES]: R g_1, R g_2, R g_3, 1/m
-  std::vector<unsigned char> unique;  // [block][LANES]: 1 where s2 + s3 is well above zero
+  std::vector<unsigned char> flags;  // [block][LANES]: bit 0 where s2 + s3 is well above zero, bit 1 where det F <= 0
 
   Eigen::Matrix3d matrix(int tet) const;
   /** R g_a of the four corners, 3 x 4, 1/m. */
   Eigen::Matrix<double, 3, 4> gradient(int tet) const;
+  /** How many of the first num_tets elements have det F <= 0. */
+  int inverted(int num_tets) const;
+};
+
+/** What a new set of rotations says of the step that led to it. */
+struct Turn
+{
+  double angle = 0;   // rad, the largest between before and after of elements whose rotation is unique in both
+  int inverted = 0;   // elements with det F <= 0 of their corners
 };
 
 /** No rotation at all: R = 1, as linear elasticity has it. */
@@ -40,11 +49,8 @@ Rotations restRotations(const Model& model);
 /**
  * Rotations of the corner gradients F = sum_a x_aa g_a^T (Weber et al. 2011, section 5.1), from those before:
  * Newton's method, vectorised over elements, checked for having found the maximum; polarRotation() where it has not.
- *
- * @return the largest angle in rad between before and after, over the elements whose rotation is unique in both: flat
- *         and inverted elements may jump
  */
-double updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,
+Turn updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,
                        Rotations& after, AlignedVector<double>& turned);
 
 }  // namespace bezier_fem

@@ -48,6 +48,7 @@ struct StepReport
 {
   int substeps = 1;       // 1: exactly one lagged step
   double turn = 0;        // rad: the largest angle that an element turned by in an accepted (sub-)step
+  int inverted = 0;       // elements that end with det F <= 0 of their corners (co-rotated elasticity only)
   int iterations = 0;     // of the linear solver, in all
   double residual = 0;    // worst (sub-)step, relative, as the tolerance measures it
   bool converged = true;  // every residual within the tolerance
@@ -85,7 +86,7 @@ constexpr int MAX_SUBSTEPS = 32;
  * components enter as known dv.
  *
  * A step in which an element turns by more than MAX_TURN is taken back and done in sub-steps short enough, down to
- * time_step / MAX_SUBSTEPS.
+ * time_step / MAX_SUBSTEPS; except while elements are inverted, when StepReport::turn alone tells.
  *
  * @param external  force on control points, N, beside gravity and loads
  */

@@ -26,11 +26,11 @@ struct Elements
   const double* coefficients;  // [block][3][LANES]: V lambda_L, V mu, V rho
 };
 
-/** What updateRotations() found out about an element; see rotation.h for what the numbers mean. */
+/** Bits that update_rotations() sets for an element. */
 enum RotationFlag : unsigned char
 {
-  NEEDS_FALLBACK = 0,  // not converged, or not certified as the maximum
-  CERTIFIED = 1
+  UNIQUE = 1,   // converged, and certified as the maximum with a margin; otherwise the result is to be made anew
+  INVERTED = 2  // det F <= 0
 };
 
 struct Table
@@ -45,7 +45,7 @@ struct Table
    * @param after      [block][9][LANES], result
    * @param rotated    [block][9][LANES], result
    * @param turned     [block][LANES], |after - before|_F^2 = 8 sin^2(angle/2), result
-   * @param flags      [block][LANES], result, a RotationFlag
+   * @param flags      [block][LANES], result, RotationFlag bits
    */
   void (*update_rotations)(const Elements& elements, int begin, int end, const double* gradients, const double* x,
                            const double* before, double* after, double* rotated, double* turned,

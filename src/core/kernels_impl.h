@@ -454,9 +454,13 @@ void updateRotations(const Elements& elements, int begin, int end, const double*
                 r.m[i][0] * v.x + r.m[i][1] * v.y + r.m[i][2] * v.z);
         }
       }
+      const Vec det = f.m[0][0] * (f.m[1][1] * f.m[2][2] - f.m[1][2] * f.m[2][1]) +
+                      f.m[0][1] * (f.m[1][2] * f.m[2][0] - f.m[1][0] * f.m[2][2]) +
+                      f.m[0][2] * (f.m[1][0] * f.m[2][1] - f.m[1][1] * f.m[2][0]);
       for (int k = 0; k < WIDTH; ++k)
       {
-        flags[static_cast<long>(block) * LANES + part + k] = certified[k] > 0 ? CERTIFIED : NEEDS_FALLBACK;
+        flags[static_cast<long>(block) * LANES + part + k] =
+            static_cast<unsigned char>((certified[k] > 0 ? UNIQUE : 0) | (det[k] > 0 ? 0 : INVERTED));
       }
     }
   }

@@ -14,7 +14,7 @@ namespace
 /** Relative distance of two eigenvalues below which they count as the same. */
 constexpr double SAME = 1e-6;
 /** Below this margin an element's rotation may jump, so that its change says nothing about the length of the step. */
-constexpr double UNIQUE = 0.1;
+constexpr double UNIQUE_MARGIN = 0.1;
 
 std::size_t offset(int tet, int entries) { return (static_cast<std::size_t>(tet / LANES) * entries) * LANES + tet % LANES; }
 
@@ -88,12 +88,18 @@ Eigen::Matrix<double, 3, 4> Rotations::gradient(int tet) const
   return r;
 }
 
+int Rotations::inverted(int num_tets) const
+{
+  return static_cast<int>(std::count_if(flags.begin(), flags.begin() + num_tets,
+                                        [](unsigned char f) { return (f & kernels::INVERTED) != 0; }));
+}
+
 Rotations restRotations(const Model& model)
 {
   Rotations rotations;
   rotations.matrices.assign(static_cast<std::size_t>(model.num_blocks) * 9 * LANES, 0.0);
   rotations.gradients = model.block_gradients;
-  rotations.unique.assign(static_cast<std::size_t>(model.num_blocks) * LANES, 1);
+  rotations.flags.assign(static_cast<std::size_t>(model.num_blocks) * LANES, kernels::UNIQUE);
   for (int slot = 0; slot < model.num_blocks * LANES; ++slot)
   {
     storeMatrix(rotations.matrices, slot, Eigen::Matrix3d::Identity());
@@ -101,7 +107,7 @@ Rotations restRotations(const Model& model)
   return rotations;
 }
 
-double updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,
+Turn updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,
                        Rotations& after, AlignedVector<double>& turned)
 {
   const kernels::Elements elements{model.nodes_per_tet, model.block_nodes.data(), nullptr, nullptr};
@@ -109,10 +115,10 @@ double updateRotations(const Model& model, const Partition& partition, const Nod
     const int begin = partition.blockBegin(thread), end = partition.blockEnd(thread);
     kernels::table().update_rotations(elements, begin, end, model.block_gradients.data(), x.data(),
                                       before.matrices.data(), after.matrices.data(), after.gradients.data(),
-                                      turned.data(), after.unique.data());
+                                      turned.data(), after.flags.data());
     for (int slot = begin * LANES; slot < end * LANES; ++slot)
     {
-      if (after.unique[slot] == kernels::CERTIFIED) continue;
+      if (after.flags[slot] & kernels::UNIQUE) continue;
       const int t = std::min(slot, model.num_tets - 1);
       const int* nodes = model.nodesOf(t);
       Eigen::Matrix3d edges;
@@ -124,15 +130,18 @@ double updateRotations(const Model& model, const Partition& partition, const Nod
       storeMatrix(after.matrices, slot, R);
       storeMatrix(after.gradients, slot, (R * gradients).transpose());
       turned[slot] = (R - last).squaredNorm();
-      after.unique[slot] = margin > UNIQUE;
+      if (margin > UNIQUE_MARGIN) after.flags[slot] |= kernels::UNIQUE;
     }
   });
+  Turn turn;
   double largest = 0;
   for (int t = 0; t < model.num_tets; ++t)
   {
-    if (before.unique[t] && after.unique[t]) largest = std::max(largest, turned[t]);
+    if (before.flags[t] & after.flags[t] & kernels::UNIQUE) largest = std::max(largest, turned[t]);
   }
-  return 2 * std::asin(std::min(1.0, std::sqrt(largest / 8)));
+  turn.inverted = after.inverted(model.num_tets);
+  turn.angle = 2 * std::asin(std::min(1.0, std::sqrt(largest / 8)));
+  return turn;
 }
 
 }  // namespace bezier_fem

@@ -123,6 +123,7 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
 {
   StepReport report;
   report.substeps = 0;
+  report.inverted = state.rotations.inverted(model.num_tets);
   Stopwatch total, watch;
   const double begin = state.time, end = settings.time_step * static_cast<double>(state.steps + 1);
   const double shortest = settings.time_step / MAX_SUBSTEPS;
@@ -138,12 +139,15 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
     if (settings.elasticity == Elasticity::COROTATED && attempt.finite)
     {
       watch = Stopwatch();
-      const double turn = updateRotations(model, w.partition, state.x, state.rotations, w.candidate, w.turned);
+      const Turn turn = updateRotations(model, w.partition, state.x, state.rotations, w.candidate, w.turned);
       watch.lap(attempt.ms.rotation);
-      if (turn > MAX_TURN && h > 1.001 * shortest)
+      // Not while an element is inverted: such a body recovers best with the long step's damping, and its motion is of
+      // no interest.
+      const bool recovering = turn.inverted > 0 || report.inverted > 0;
+      if (turn.angle > MAX_TURN && !recovering && h > 1.001 * shortest)
       {
         // A lagged step turns an element that spins at w by atan(w h).
-        const double pieces = std::ceil(std::tan(std::min(turn, 1.5)) / MAX_TURN);
+        const double pieces = std::ceil(std::tan(std::min(turn.angle, 1.5)) / MAX_TURN);
         h = std::max(h / std::max(pieces, 2.0), shortest);
         state.x.matrix() = w.x_before.matrix();
         state.v.matrix() = w.v_before.matrix();
@@ -151,7 +155,8 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
         report.ms = attempt.ms;
         continue;
       }
-      attempt.turn = std::max(attempt.turn, turn);
+      attempt.turn = std::max(attempt.turn, turn.angle);
+      attempt.inverted = turn.inverted;
       std::swap(state.rotations, w.candidate);
     }
     report = attempt;

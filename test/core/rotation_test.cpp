@@ -113,7 +113,7 @@ TEST(UpdateRotations, TellsTheAngleOfATurnedBody)
     NodalField x = model.rest;
     x.matrix().topRows<3>() = R * model.rest.matrix().topRows<3>();
     Rotations after = restRotations(model);
-    EXPECT_NEAR(updateRotations(model, partition, x, restRotations(model), after, turned), angle, 1e-9);
+    EXPECT_NEAR(updateRotations(model, partition, x, restRotations(model), after, turned).angle, angle, 1e-9);
     EXPECT_LT((after.matrix(3) - R).norm(), 1e-13);
   }
 }
