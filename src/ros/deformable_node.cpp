@@ -257,7 +257,7 @@ bool DeformableNode::prepareStep()
     inputs_.clear();
     diagnostics_.force_update();  // it waits for the old time otherwise
   }
-  real_time_factor_.add(static_cast<double>(steps_made_) * time_step_, now_.toSec());
+  real_time_factor_.add(static_cast<double>(steps_made_) * time_step_, pacer_.stateTime(now_).toSec());
   return pacer_.stepDue();
 }
 

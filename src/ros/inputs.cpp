@@ -154,7 +154,7 @@ void Inputs::accept(double now, const ros::Time& until)
 {
   struct Placed
   {
-    Message message;
+    Message message;  // numbered from 1
     Eigen::Isometry3d pose;
   };
   std::map<std::string, Placed> placed;  // the last of each key: only that one acts
@@ -175,9 +175,8 @@ void Inputs::accept(double now, const ros::Time& until)
     const auto pose = frames_.lookup(message.frame, message.stamp, why);
     if (pose)
     {
-      const auto found = placed.find(message.key);
-      if (found == placed.end() || found->second.message.sequence < message.sequence)
-        placed.insert_or_assign(message.key, Placed{std::move(message), *pose});
+      Placed& last = placed[message.key];
+      if (last.message.sequence < message.sequence) last = {std::move(message), *pose};
     }
     else if ((ros::SteadyTime::now() - message.arrival).toSec() < TRANSFORM_GRACE)
       still_waiting.push_back(std::move(message));
