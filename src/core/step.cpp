@@ -143,7 +143,7 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
       watch.lap(attempt.ms.rotation);
       // Not while an element is inverted: such a body recovers best with the long step's damping, and its motion is of
       // no interest.
-      const bool recovering = turn.inverted > 0 || report.inverted > 0;
+      const bool recovering = report.inverted > 0;
       if (turn.angle > MAX_TURN && !recovering && h > 1.001 * shortest)
       {
         // A lagged step turns an element that spins at w by atan(w h).
