@@ -91,7 +91,9 @@ Prefix pascals(double largest)
 void SmoothedScale::update(double largest, double elapsed)
 {
   constexpr double RISE = 0.2, FALL = 2;  // s
-  if (value_ == 0) value_ = largest;
+  constexpr double JUMP = 100;            // beyond that factor there is nothing to be smooth about
+  if (!std::isfinite(largest)) return;
+  if (value_ > JUMP * largest || largest > JUMP * value_) value_ = largest;
   value_ += (1 - std::exp(-elapsed / (largest > value_ ? RISE : FALL))) * (largest - value_);
 }
 
@@ -125,7 +127,7 @@ void fillStress(const Surface& surface, const Eigen::Matrix3Xd& points, const Ei
   for (Eigen::Index i = 0; i < points.cols(); ++i)
   {
     const Eigen::Vector3d n = normals.col(i);
-    const double shade = 0.42 + 0.16 * (1 + n.z()) / 2 + 0.42 * std::max(0.0, n.dot(key));  // ambient, sky, light
+    const double shade = 0.5 + 0.15 * (1 + n.z()) / 2 + 0.35 * std::max(0.0, n.dot(key));  // ambient, sky, light
     colors[i] = color((colorOf(values[i] / largest) * static_cast<float>(shade)).eval());
   }
   marker.colors.resize(surface.triangles.size());
@@ -160,14 +162,14 @@ void addLegend(const std_msgs::Header& header, const Eigen::AlignedBox3d& body, 
 
   const Prefix prefix = pascals(largest);
   markers.markers.push_back(text(header, "legend", 1, foot + Eigen::Vector3d(0, 0, height + 1.6 * text_height),
-                                 text_height, std::string("von Mises stress, ") + prefix.unit));
+                                 text_height, std::string("von Mises, ") + prefix.unit));
   const double step = roundStep(largest / 3);
   for (int i = 0; i < LARGEST_TICKS; ++i)
   {
     const double value = i * step;
     // rviz centres text: spaces in front put the number to the right of the column wherever one looks from
     Marker tick = text(header, "legend", 2 + i, foot + Eigen::Vector3d(0, 0, value / largest * height), text_height,
-                       "              " + format("%.4g", value / prefix.factor));
+                       "        " + format("%.4g", value / prefix.factor));
     if (value > largest) tick.action = Marker::DELETE;
     markers.markers.push_back(tick);
   }
@@ -277,7 +279,7 @@ void ForceMarkers::fill(const std_msgs::Header& header, const Simulation& simula
 
   double largest = 0;
   for (const auto& [key, input] : active)
-    for (const ActiveLoad& load : input.loads) largest = std::max(largest, load.wrench.force.norm());
+    for (const ActiveLoad& load : input.loads) largest = std::max(largest, load.wrench.force.stableNorm());
   largest_.update(largest, elapsed);
 
   Painter painter(header, size_, markers);
@@ -287,7 +289,7 @@ void ForceMarkers::fill(const std_msgs::Header& header, const Simulation& simula
     for (const ActiveLoad& load : input.loads)
     {
       const Eigen::Vector3d at = patchCentre(simulation.model(), x, load.patch);
-      if (const double force = load.wrench.force.norm(); force > 0)
+      if (const double force = load.wrench.force.stableNorm(); force > 0)
       {
         const Eigen::Vector3d arrow =
             load.wrench.force / force * size_ * std::clamp(0.3 * force / largest_.value(), 0.04, 0.4);

@@ -81,8 +81,12 @@ class Body:
         self.pause(True)
         answer = self.services['reset']()
         assert answer.success, answer.message
-        for inbox in (self.state, self.forces, self.reaction):
-            inbox.clear()
+        # What was sent before the reset may still be on its way
+        self.state.clear()
+        self.state.wait('state at the start', lambda s: s.step == 0 and s.real_time_factor == 0)
+        self.wait_acting(0)
+        self.wait_acting(0, 'contacts')
+        self.state.clear()
 
     def pause(self, paused):
         return self.services['set_paused'](paused)
