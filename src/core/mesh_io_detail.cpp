@@ -1,9 +1,7 @@
 #include "mesh_io_detail.h"
 
 #include <algorithm>
-#include <cerrno>
 #include <charconv>
-#include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <limits>
