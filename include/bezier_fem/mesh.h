@@ -11,16 +11,20 @@ namespace bezier_fem
 struct MidEdgeNode
 {
   int corner_a;     // index into TetMesh::corners
-  int corner_b;     // index into TetMesh::corners
+  int corner_b;     // index into TetMesh::corners, greater than corner_a
   std::int64_t id;  // the file's id
 };
 
-/** A named part of a mesh file: a Gmsh physical group, a TetGen region attribute, a Medit reference. */
+/**
+ * A named part of a mesh file: a Gmsh physical group, a TetGen region attribute, a Medit reference other than 0 of
+ * elements (not of vertices). Names are unique: groups of several dimensions that share one are one group, with a
+ * warning.
+ */
 struct MeshGroup
 {
   std::string name;          // the physical name, or the number as text where the file gives no name
-  std::vector<int> corners;  // indices into TetMesh::corners of all corners of the group's entities, sorted, unique
-  std::vector<int> tets;     // indices into TetMesh::tets, sorted; empty for groups of lower dimension
+  std::vector<int> corners;  // indices into TetMesh::corners of all corners of the group's entities, increasing
+  std::vector<int> tets;     // indices into TetMesh::tets, increasing; empty for groups of lower dimension
 };
 
 /**
@@ -29,16 +33,16 @@ struct MeshGroup
  */
 struct TetMesh
 {
-  Eigen::Matrix3Xd corners;              // 3 x corners
-  Eigen::Matrix4Xi tets;                 // 4 x tets, columns of corner indices
-  std::vector<std::int64_t> corner_ids;  // the file's node ids, one a corner
-  std::vector<MidEdgeNode> mid_edges;    // empty for a first-order file, else one for every edge
+  Eigen::Matrix3Xd corners;              // 3 x corners, in the order of their ids
+  Eigen::Matrix4Xi tets;                 // 4 x tets, columns of corner indices; in the file's order
+  std::vector<std::int64_t> corner_ids;  // the file's node ids, one a corner, increasing; from 0 in VTK files
+  std::vector<MidEdgeNode> mid_edges;    // empty for a first-order file, else one for every edge, sorted by corners
   std::int64_t largest_id = 0;           // largest node id in the file, of unused nodes too
-  std::vector<MeshGroup> groups;
+  std::vector<MeshGroup> groups;  // sorted by name; none in VTK files
 
-  int flipped = 0;                     // elements that came inverted and were turned round
-  double largest_curvature = 0;        // largest distance of a file's mid-edge node from the middle of its edge
-  std::vector<std::string> warnings;   // one line each; nothing here stops a run
+  int flipped = 0;                    // elements that came inverted and were turned round
+  double largest_curvature = 0;       // largest distance of a file's mid-edge node from the middle of its edge
+  std::vector<std::string> warnings;  // one line each, with the file's name; nothing here stops a run
 };
 
 }  // namespace bezier_fem

@@ -44,7 +44,7 @@ TEST_P(Embedding, FindsTheElementOfAnyPointAndTheNearestOfOnesOutside)
     EXPECT_NEAR(distance, (p - inside).norm(), 1e-12);
     outside += distance > 0;
     EXPECT_NEAR(found.lambda.sum(), 1, 1e-14);
-    if (distance == 0) EXPECT_GE(found.lambda.minCoeff(), 0);
+    EXPECT_EQ(distance == 0, found.lambda.minCoeff() >= 0);
     EXPECT_LT((position(model, model.rest, found) - p).norm(), 1e-13);
   }
   EXPECT_GT(outside, 100);
