@@ -17,8 +17,8 @@ struct MidEdgeNode
 
 /**
  * A named part of a mesh file: a Gmsh physical group, a TetGen region attribute, a Medit reference other than 0 of
- * elements (not of vertices). Names are unique: groups of several dimensions that share one are one group, with a
- * warning.
+ * elements (not of vertices). Names are unique: where groups of several dimensions share a name, it stands for all of
+ * them; where they share a number, for the one of the highest dimension. A warning tells of both.
  */
 struct MeshGroup
 {
@@ -38,7 +38,7 @@ struct TetMesh
   std::vector<std::int64_t> corner_ids;  // the file's node ids, one a corner, increasing; from 0 in VTK files
   std::vector<MidEdgeNode> mid_edges;    // empty for a first-order file, else one for every edge, sorted by corners
   std::int64_t largest_id = 0;           // largest node id in the file, of unused nodes too
-  std::vector<MeshGroup> groups;  // sorted by name; none in VTK files
+  std::vector<MeshGroup> groups;         // sorted by name; none in VTK files
 
   int flipped = 0;                    // elements that came inverted and were turned round
   double largest_curvature = 0;       // largest distance of a file's mid-edge node from the middle of its edge

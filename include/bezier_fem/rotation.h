@@ -15,9 +15,11 @@ class Partition;
  * through its shortest side), found as the quaternion of Horn 1987, Eq. 35: the eigenvector to the largest eigenvalue
  * of a symmetric 4x4 matrix, whose two largest eigenvalues lie 2 (s2 + s3) apart.
  *
- * Where they meet (s2 + s3 = 0: a mirrored cube, a segment, a point) R is not unique: the one nearest to `before`
- * among the maxima is taken, so that a body in such a state does not flicker between two rotations.
+ * Where they meet (s2 + s3 = 0: a mirrored cube, a segment, a point; up to 1e-6 of the larger of s1 + s2 and 1) R is
+ * not unique: the one nearest to `before` among the maxima is taken, so that a body in such a state does not flicker
+ * between two rotations.
  *
+ * @param F       deformation gradient, dimensionless: 1 at rest
  * @param margin  if given, set to (s2 + s3) / (s1 + s2), 0 for F = 0: how far R is from not being unique
  */
 Eigen::Matrix3d polarRotation(const Eigen::Matrix3d& F, const Eigen::Matrix3d& before, double* margin = nullptr);

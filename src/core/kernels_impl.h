@@ -399,9 +399,10 @@ void updateRotations(const Elements& elements, int begin, int end, const double*
         const Vec cxx = hyy * hzz - hyz * hyz, cxy = hxz * hyz - hxy * hzz, cxz = hxy * hyz - hxz * hyy;
         const Vec cyy = hxx * hzz - hxz * hxz, cyz = hxy * hxz - hxx * hyz, czz = hxx * hyy - hxy * hxy;
         const Vec det = hxx * cxx + hxy * cxy + hxz * cxz;
-        // Positive definite with a margin: the product of the eigenvalues against the cube of their sum.
+        // Positive definite with a margin: the product of the eigenvalues against the cube of their sum. And more than
+        // the rounding noise of an element that is no larger than a point.
         const Vec sum = hxx + hyy + hzz;
-        const auto well = (hxx > 0) & (czz > 0) & (det > 4e-3 * sum * sum * sum);
+        const auto well = (hxx > 0) & (czz > 0) & (det > 4e-3 * sum * sum * sum) & (sum > 1e-5);
         certified = well ? Vec{} + 1 : Vec{};
         const Vec scale = 1 / (det != 0 ? det : Vec{} + 1);
         Vec wx = scale * (cxx * ax + cxy * ay + cxz * az);

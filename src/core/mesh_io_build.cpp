@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <set>
 #include <tuple>
 #include <unordered_map>
 
@@ -584,9 +585,10 @@ void Builder::checkPlaces()
 
 void Builder::makeGroups()
 {
-  List mixed;
-  for (auto& [name, raw_group] : raw_.groups)
+  std::set<std::string> numbers, names;  // that are not one group's alone
+  for (auto& [key, raw_group] : raw_.groups)
   {
+    const auto& [name, dimension] = key;
     MeshGroup group;
     group.name = name;
     for (const std::int64_t id : raw_group.nodes)
@@ -604,18 +606,33 @@ void Builder::makeGroups()
     {
       for (const int c : mesh_.tets.col(t)) group.corners.push_back(c);
     }
+    if (!mesh_.groups.empty() && mesh_.groups.back().name == name)  // of a lower dimension
+    {
+      // Who gives two things one name wants both. But surfaces, curves and so on are numbered apart.
+      const bool number = name.find_first_not_of("-0123456789") == name.npos;
+      (number ? numbers : names).insert(quoted(name));
+      const std::vector<int>& lower = mesh_.groups.back().corners;
+      if (!number) group.corners.insert(group.corners.end(), lower.begin(), lower.end());
+      mesh_.groups.pop_back();
+    }
     for (std::vector<int>* indices : {&group.corners, &group.tets})
     {
       std::sort(indices->begin(), indices->end());
       indices->erase(std::unique(indices->begin(), indices->end()), indices->end());
     }
-    if ((raw_group.dimensions & (raw_group.dimensions - 1)) != 0) mixed.add([&, &n = name] { return quoted(n); });
     mesh_.groups.push_back(std::move(group));
   }
-  if (mixed.total() > 0)
+  const auto str = [](const std::set<std::string>& shared) {
+    List list;
+    for (const std::string& name : shared) list.add([&] { return name; });
+    return list.str();
+  };
+  if (!numbers.empty())
   {
-    warn("groups of different dimensions share a name, and each such name stands for all of them: " + mixed.str());
+    warn("a number that groups of several dimensions have stands for the one of the highest dimension: " +
+         str(numbers));
   }
+  if (!names.empty()) warn("a name that groups of several dimensions have stands for all of them: " + str(names));
 }
 
 }  // namespace

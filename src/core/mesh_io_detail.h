@@ -129,7 +129,6 @@ constexpr int EDGE_CORNERS[6][2] = {{0, 1}, {1, 2}, {0, 2}, {0, 3}, {1, 3}, {2, 
 
 struct RawGroup
 {
-  unsigned dimensions = 0;          // bit d: has entities of dimension d
   std::vector<std::int64_t> nodes;  // ids of all nodes of the entities of dimension 0 to 2
   std::vector<int> elements;        // indices into RawMesh's elements
 };
@@ -159,8 +158,8 @@ struct RawMesh
   std::vector<std::int64_t> element_ids;
   std::vector<std::size_t> element_places;
 
-  std::map<std::string, RawGroup> groups;      // by name
-  std::map<std::string, std::size_t> ignored;  // how many volume elements of other kinds, by kind
+  std::map<std::pair<std::string, int>, RawGroup> groups;  // by name and dimension
+  std::map<std::string, std::size_t> ignored;              // how many volume elements of other kinds, by kind
 };
 
 /** Checks `raw` and makes it compact. Uses `raw` up. */

@@ -481,8 +481,7 @@ void GmshReader::nameGroups()
     if (version_ == 4) physicals = physicals_of_entities_[tag];
     for (const std::int64_t physical : physicals)
     {
-      RawGroup& group = raw_.groups[groupName({tag.first, physical})];
-      group.dimensions |= 1u << tag.first;
+      RawGroup& group = raw_.groups[{groupName({tag.first, physical}), tag.first}];
       group.nodes.insert(group.nodes.end(), part.nodes.begin(), part.nodes.end());
       group.elements.insert(group.elements.end(), part.elements.begin(), part.elements.end());
     }

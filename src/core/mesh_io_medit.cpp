@@ -64,8 +64,7 @@ void readElements(Cursor& in, const Keyword& keyword, RawMesh* raw)
     // The ten nodes have our order already.
     if (tetrahedra) raw->addElement(static_cast<std::int64_t>(i) + 1, nodes.data(), keyword.nodes, at);
     if (reference == 0 || (keyword.dimension == 3 && !tetrahedra)) continue;
-    RawGroup& group = raw->groups[std::to_string(reference)];
-    group.dimensions |= 1u << keyword.dimension;
+    RawGroup& group = raw->groups[{std::to_string(reference), keyword.dimension}];
     if (tetrahedra)
       group.elements.push_back(raw->elementCount() - 1);
     else

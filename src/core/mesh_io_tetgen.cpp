@@ -63,8 +63,7 @@ void readElements(Cursor& in, RawMesh* raw)
     raw->addElement(id, nodes.data(), static_cast<int>(width), at);
     if (attributes > 0)
     {
-      RawGroup& region = raw->groups[regionName(in.number<double>("a region attribute"))];
-      region.dimensions |= 1u << 3;
+      RawGroup& region = raw->groups[{regionName(in.number<double>("a region attribute")), 3}];
       region.elements.push_back(raw->elementCount() - 1);
     }
     for (std::int64_t k = 1; k < attributes; ++k) in.number<double>("an attribute");

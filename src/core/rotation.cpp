@@ -11,7 +11,10 @@ namespace bezier_fem
 {
 namespace
 {
-/** Relative distance of two eigenvalues below which they count as the same. */
+/**
+ * s2 + s3 below which it counts as zero, relative to s1 + s2 or, for an element smaller than at rest, to the rest shape's
+ * 1: the gradient of a body collapsed to a point is rounding noise.
+ */
 constexpr double SAME = 1e-6;
 /** Below this margin an element's rotation may jump, so that its change says nothing about the length of the step. */
 constexpr double UNIQUE_MARGIN = 0.1;
@@ -60,14 +63,15 @@ Eigen::Matrix3d polarRotation(const Eigen::Matrix3d& F, const Eigen::Matrix3d& b
   if (margin) *margin = (values[3] - values[2]) / (values[3] - values[0]);  // 2 (s2 + s3) over 2 (s1 + s2)
 
   Eigen::Vector4d q = eigen.eigenvectors().col(3);
-  if (values[3] - values[2] < SAME * (values[3] - values[0]))
+  const double same = SAME * std::max(values[3] - values[0], 1 / size);
+  if (values[3] - values[2] < same)
   {
     const Eigen::Quaterniond previous(before);
     const Eigen::Vector4d p(previous.w(), previous.x(), previous.y(), previous.z());
     Eigen::Vector4d projected = Eigen::Vector4d::Zero();
     for (int k = 0; k < 4; ++k)
     {
-      if (values[3] - values[k] < SAME * (values[3] - values[0]))
+      if (values[3] - values[k] < same)
       {
         projected += eigen.eigenvectors().col(k) * eigen.eigenvectors().col(k).dot(p);
       }

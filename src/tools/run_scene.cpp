@@ -14,6 +14,7 @@
 #include <nlohmann/json.hpp>
 #include <numeric>
 #include <optional>
+#include <sstream>
 
 #include "bezier_fem/error.h"
 #include "bezier_fem/simulation.h"
@@ -81,6 +82,13 @@ private:
   bool shown_ = false;
   std::chrono::steady_clock::time_point last_;
 };
+
+std::string toString(double value)
+{
+  std::ostringstream text;
+  text << value;
+  return text.str();
+}
 
 class Run
 {
@@ -157,8 +165,8 @@ public:
     if (finite_ && converged_) return DONE;
     std::cerr << options_.scene
               << (!finite_ ? ": diverged: positions are no longer finite"
-                           : ": not converged: the worst residual is " + std::to_string(residual_) +
-                                 " (tolerance " + std::to_string(simulation_.scene().solver.tolerance) + ")")
+                           : ": not converged: the worst residual is " + toString(residual_) + ", the tolerance " +
+                                 toString(simulation_.scene().solver.tolerance))
               << std::endl;
     return FAILED;
   }
@@ -296,6 +304,19 @@ private:
   static void print(const std::string& line) { std::cerr << line << std::endl; }
 };
 
+std::unique_ptr<Simulation> load(Scene scene, const Options& options, Notes& notes)
+{
+  try
+  {
+    return std::make_unique<Simulation>(std::move(scene), options.threads,
+                                        [&](const std::string& line) { notes(line); });
+  }
+  catch (const InputError& error)
+  {
+    throw InputError(options.scene + ": " + error.what());
+  }
+}
+
 int run(const Options& options)
 {
   Scene scene = loadScene(options.scene, options.overrides);
@@ -305,8 +326,8 @@ int run(const Options& options)
   }
   const bool statics = options.statics || scene.integrator == Integrator::STATIC;
   Notes notes;
-  Simulation simulation(std::move(scene), options.threads, [&](const std::string& line) { notes(line); });
-  Run run(options, simulation);
+  const std::unique_ptr<Simulation> simulation = load(std::move(scene), options, notes);
+  Run run(options, *simulation);
   if (statics)
   {
     run.solveStatic();
@@ -323,18 +344,27 @@ int run(const Options& options)
 int main(int argc, char** argv)
 {
   Options options;
+  std::vector<std::string> positional;
+  const auto atLeast = [](long least) {
+    return CLI::Validator(
+        [least](const std::string& text) {
+          long value = 0;
+          const bool ok = CLI::detail::lexical_cast(text, value) && value >= least;
+          return ok ? std::string() : text + " is not a whole number of at least " + std::to_string(least);
+        },
+        "");
+  };
   CLI::App app{"Simulates a scene: a deformable body, how it is held and what acts on it. SI units; see doc/scene_file.md."};
-  app.add_option("SCENE", options.scene, "Scene file, YAML")->required();
-  auto* duration = app.add_option("--duration", options.duration, "Simulated time in s")
-                       ->check(CLI::NonNegativeNumber)
-                       ->default_str("1");
+  app.add_option("SCENE", positional, "Scene file, YAML")->required();
+  auto* duration = app.add_option("--duration", options.duration, "Simulated time in s (default 1)");
   auto* steps = app.add_option("--steps", options.steps, "Number of time steps, instead of a duration")
-                    ->check(CLI::NonNegativeNumber)
+                    ->check(atLeast(0))
                     ->excludes(duration);
   app.add_flag("--static", options.statics, "Static equilibrium instead of a simulation; overrides the scene's integrator")
       ->excludes(duration)
       ->excludes(steps);
-  app.add_option("--set", options.overrides, "KEY=VALUE: overrides a key of the scene, e.g. material.young=1.0e+6")
+  app.add_option("--set", options.overrides,
+                 "KEY=VALUE: overrides a key of the scene, e.g. material.young=1.0e+6; any number of them")
       ->take_all()
       ->allow_extra_args(false);
   app.add_option("--probes", options.probes, "CSV file for the positions of the scene's probes, in m");
@@ -342,13 +372,26 @@ int main(int argc, char** argv)
   app.add_option("--vtu", options.vtu, "Folder for a ParaView series");
   app.add_option("--summary", options.summary, "JSON file for what came out of the run");
   app.add_option("--every", options.every, "Rows and ParaView files only for every K-th step, and the first and last")
-      ->check(CLI::PositiveNumber)
-      ->default_str("1");
-  app.add_option("--threads", options.threads, "Threads")->check(CLI::Range(1, 1024))->default_str("1");
+      ->check(atLeast(1));
+  app.add_option("--threads", options.threads, "Threads (default 1)")->check(atLeast(1));
   app.footer("Exit status: 0 done, 1 the run failed (diverged, not converged), 2 the input is wrong.");
   try
   {
     app.parse(argc, argv);
+    // `--set A=1 B=2` too: what follows the scene and is no other option's is an override.
+    options.scene = positional.front();
+    for (std::size_t k = 1; k < positional.size(); ++k)
+    {
+      if (options.overrides.empty() || positional[k].find('=') == std::string::npos)
+      {
+        throw CLI::ExtrasError({positional[k]});
+      }
+      options.overrides.push_back(positional[k]);
+    }
+    if (!(options.duration >= 0) || !std::isfinite(options.duration))
+    {
+      throw CLI::ValidationError("--duration", "must be a time in s, at least 0");
+    }
   }
   catch (const CLI::ParseError& error)
   {

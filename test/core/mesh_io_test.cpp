@@ -664,23 +664,33 @@ TEST_F(MeshIo, gmshSectionsThatAreNotNeededAreSkipped)
   EXPECT_EQ(read("a.msh", text + "$NodeData\n1\n\"x\"\n$EndNodeData\n").tets.cols(), 1);
 }
 
-TEST_F(MeshIo, gmshGroupsOfOneNumber)
+TEST_F(MeshIo, gmshGroupsOfOneName)
 {
   const std::string elements =
-      "$Elements\n3\n1 2 2 1 1 1 2 3\n2 4 2 1 1 1 2 3 4\n3 5 2 1 1 1 2 3 4 1 2 3 4\n$EndElements\n";
-  const std::string text = GMSH.substr(0, GMSH.find("$Elements")) + elements;
+      "$Elements\n3\n1 2 2 1 1 1 2 5\n2 4 2 1 1 1 2 3 4\n3 5 2 1 1 1 2 3 4 1 2 3 4\n4 4 2 2 1 2 3 4 5\n$EndElements\n";
+  std::string text = GMSH.substr(0, GMSH.find("$Elements")) + replaced(elements, "\n3\n", "\n4\n");
+  text = replaced(replaced(text, "$Nodes\n4\n", "$Nodes\n5\n"), "4 0 0 1\n", "4 0 0 1\n5 1 1 1\n");
   TetMesh mesh = read("a.msh", text);
-  ASSERT_EQ(mesh.groups.size(), 1u);
-  EXPECT_EQ(mesh.groups[0].corners.size(), 4u);
-  EXPECT_EQ(mesh.groups[0].tets.size(), 1u);
+  ASSERT_EQ(mesh.groups.size(), 2u);
+  EXPECT_EQ(mesh.groups[0].corners, (std::vector<int>{0, 1, 2, 3}));  // the volume's, not the surface's
+  EXPECT_EQ(mesh.groups[0].tets, std::vector<int>{0});
   ASSERT_EQ(mesh.warnings.size(), 2u) << warningsOf(mesh);
   EXPECT_NE(mesh.warnings[0].find("left out: 1 of Gmsh element type 5"), std::string::npos) << mesh.warnings[0];
-  EXPECT_NE(mesh.warnings[1].find("of different dimensions share a name"), std::string::npos) << mesh.warnings[1];
+  EXPECT_NE(mesh.warnings[1].find("stands for the one of the highest dimension: '1'"), std::string::npos);
 
-  mesh = read("a.msh", replaced(text, "$Nodes", "$PhysicalNames\n1\n2 1 \"the \"\"skin\"\n$EndPhysicalNames\n$Nodes"));
+  const auto named = [&](const std::string& surface, const std::string& volume) {
+    return replaced(text, "$Nodes",
+                    "$PhysicalNames\n2\n2 1 \"" + surface + "\"\n3 1 \"" + volume + "\"\n$EndPhysicalNames\n$Nodes");
+  };
+  mesh = read("a.msh", named("the \"skin\"", "it"));
+  ASSERT_EQ(mesh.groups.size(), 3u);
+  EXPECT_EQ(group(mesh, "the \"skin\"").corners, (std::vector<int>{0, 1, 4}));
+  EXPECT_EQ(group(mesh, "it").corners, (std::vector<int>{0, 1, 2, 3}));
+  mesh = read("a.msh", named("it", "it"));
   ASSERT_EQ(mesh.groups.size(), 2u);
-  EXPECT_EQ(group(mesh, "the \"\"skin").corners, (std::vector<int>{0, 1, 2}));
-  EXPECT_EQ(group(mesh, "1").tets.size(), 1u);
+  EXPECT_EQ(group(mesh, "it").corners, (std::vector<int>{0, 1, 2, 3, 4}));
+  EXPECT_EQ(group(mesh, "it").tets, std::vector<int>{0});
+  EXPECT_NE(warningsOf(mesh).find("stands for all of them: 'it'"), std::string::npos) << warningsOf(mesh);
 }
 
 template <class T>

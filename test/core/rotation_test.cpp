@@ -38,11 +38,12 @@ TEST(PolarRotation, IsTheSingularValueDecompositionsForAnyMatrix)
   std::mt19937 random(1);
   for (int k = 0; k < 20000; ++k)
   {
-    const Matrix3d F = randomMatrix(random) * std::pow(10.0, static_cast<double>(k % 13) - 6);
+    const Matrix3d F = randomMatrix(random) * std::pow(10.0, static_cast<double>(k % 10) - 3);
     double margin;
     const Matrix3d R = polarRotation(F, Matrix3d::Identity(), &margin);
     ASSERT_TRUE(isRotation(R));
-    ASSERT_LT((R - reference(F)).norm(), 1e-13 / std::max(margin, 1e-8)) << F << "\nmargin " << margin;
+    if (margin * F.norm() < 1e-5) continue;  // not unique
+    ASSERT_LT((R - reference(F)).norm(), 1e-13 / margin) << F << "\nmargin " << margin;
   }
 }
 
@@ -54,6 +55,7 @@ TEST(PolarRotation, KeepsTheLastOneWhereItIsNotUnique)
     const Matrix3d before = test::randomRotation(random), other = test::randomRotation(random);
     // Nothing, a segment along an axis, and mirror images with two equal short sides.
     EXPECT_EQ(polarRotation(Matrix3d::Zero(), before), before);
+    EXPECT_LT((polarRotation(1e-12 * randomMatrix(random), before) - before).norm(), 1e-6);
     const Vector3d axis = other.col(0);
     EXPECT_LT((polarRotation(before * axis * axis.transpose(), before) - before).norm(), 1e-6);
     const Matrix3d mirrored = before * (Matrix3d::Identity() - 2 * axis * axis.transpose());
