@@ -11,9 +11,10 @@ import rospkg
 import rospy
 import rostest
 import yaml
+from bezier_fem.msg import BodyState
 from std_srvs.srv import Trigger
 
-PATIENCE = 20
+from body_client import PATIENCE, Inbox
 
 
 class StartTest(unittest.TestCase):
@@ -79,6 +80,16 @@ class StartTest(unittest.TestCase):
 
     def test_ros_own_parameters_are_no_keys(self):
         self.assertRuns(dict(self.scene, live={'young': 1.0}, diagnostic_period=0.5, threads=2))
+
+    def test_free_run_waits_for_no_clock(self):
+        scene = dict(self.scene, node={'mode': 'free_run', 'publish_rate': 50})
+        node = self.start(scene)
+        try:
+            state = Inbox('/started/state', BodyState)
+            self.assertGreater(state.wait('fast step', lambda s: s.real_time_factor > 2).step, 0)
+        finally:
+            node.send_signal(signal.SIGINT)
+            node.communicate(timeout=PATIENCE)
 
     def test_numbers_that_yaml_1_1_takes_for_text(self):
         self.assertRuns(dict(self.scene, material={'young': '2.0e5', 'poisson': '3e-1', 'density': 500}))
