@@ -62,7 +62,7 @@ TetMesh loadMesh(const Scene::Model& model, const Simulation::Log& log, Placemen
     if (model.longest_side) placement.scale = *model.longest_side / longestSide(readSurfaceMesh(model.file).points);
     mesh = readTetMesh(meshedSurface(model.file, *model.cell_size, placement.scale, log));
   }
-  for (const std::string& warning : mesh.warnings) log(model.file + ": " + warning);
+  for (const std::string& warning : mesh.warnings) log(warning);
   Placement{scale_left, placement.T_world_model}.apply(mesh.corners);
   return mesh;
 }
