@@ -63,7 +63,6 @@ Eigen::Vector3d patchCentre(const Model& model, const NodalField& x, const Surfa
  * which have the resultants F and T exactly and, of all that have, the least sum of |f_i|^2 / w_i. The control points
  * get them through the transpose of the interpolation, so forces on them have the same resultants.
  */
-void addWrench(const Model& model, const NodalField& x, const SurfacePatch& patch, const Wrench& wrench,
-               NodalField& f);
+void addWrench(const Model& model, const NodalField& x, const SurfacePatch& patch, const Wrench& wrench, NodalField& f);
 
 }  // namespace bezier_fem

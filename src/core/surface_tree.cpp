@@ -41,12 +41,11 @@ Eigen::Vector3d nearestOnTriangle(const Eigen::Vector3d& p, const Eigen::Matrix3
 }  // namespace
 
 SurfaceTree::SurfaceTree(const Eigen::Matrix3Xi& triangles, const Eigen::Matrix3Xd& points)
-  : triangles_(triangles), order_(triangles.cols())
+    : triangles_(triangles), order_(triangles.cols())
 {
   Eigen::Matrix3Xd centroids(3, triangles.cols());
   for (int t = 0; t < triangles.cols(); ++t)
-    centroids.col(t) =
-        (points.col(triangles(0, t)) + points.col(triangles(1, t)) + points.col(triangles(2, t))) / 3;
+    centroids.col(t) = (points.col(triangles(0, t)) + points.col(triangles(1, t)) + points.col(triangles(2, t))) / 3;
   std::iota(order_.begin(), order_.end(), 0);
   build(0, static_cast<int>(order_.size()), centroids);
   refit(points);

@@ -35,7 +35,7 @@ std::array<Eigen::Vector3f, COLORS> makeMap()
   {
     const double t = static_cast<double>(i) / (COLORS - 1);
     const double lightness = 0.42 + 0.50 * t;
-    const double hue = (275 + (458 - 275) * t) * DEGREE;
+    const double hue = (275 + (443 - 275) * t) * DEGREE;
     double chroma = 0.20;
     Eigen::Vector3d rgb;
     do  // towards grey until the screen has it

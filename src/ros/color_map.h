@@ -5,7 +5,7 @@
 namespace bezier_fem
 {
 /**
- * A colour between blue-violet for 0 and yellow for 1 by way of red; values outside are clamped. Lightness rises in
+ * A colour from blue-violet for 0 by way of red to a light orange for 1; values outside are clamped. Lightness rises in
  * proportion to the value as the eye sees it, so the map also reads in grey and by colour-blind eyes.
  * @return red, green and blue of sRGB, 0 to 1
  */

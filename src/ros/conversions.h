@@ -9,8 +9,14 @@
 
 namespace bezier_fem
 {
-inline Eigen::Vector3d toEigen(const geometry_msgs::Point& p) { return {p.x, p.y, p.z}; }
-inline Eigen::Vector3d toEigen(const geometry_msgs::Vector3& v) { return {v.x, v.y, v.z}; }
+inline Eigen::Vector3d toEigen(const geometry_msgs::Point& p)
+{
+  return {p.x, p.y, p.z};
+}
+inline Eigen::Vector3d toEigen(const geometry_msgs::Vector3& v)
+{
+  return {v.x, v.y, v.z};
+}
 
 inline Eigen::Isometry3d toEigen(const geometry_msgs::Transform& t)
 {

@@ -16,8 +16,8 @@ namespace bezier_fem
 namespace
 {
 constexpr std::uint32_t LARGEST_STEP_REQUEST = 100000;
-constexpr double LARGEST_GAP = 60;    // s between the stamps of inputs in lockstep; a longer one is skipped
-constexpr double IDLE_PERIOD = 0.02;  // s, real: how often an idle loop looks around
+constexpr double LARGEST_GAP = 60;      // s between the stamps of inputs in lockstep; a longer one is skipped
+constexpr double IDLE_PERIOD = 0.02;    // s, real: how often an idle loop looks around
 constexpr double CLOCK_PERIOD = 0.001;  // s, real: the same while it follows /clock, which wakes nobody
 
 const char* nameOf(Scene::Node::Mode mode)
@@ -37,18 +37,18 @@ const char* nameOf(Scene::Node::Mode mode)
 }  // namespace
 
 DeformableNode::DeformableNode(const Scene& scene, int threads)
-  : mode_(scene.node.mode)
-  , time_step_(scene.time_step)
-  , simulation_(scene, threads, [](const std::string& line) { ROS_INFO("%s", line.c_str()); })
-  , frames_(scene.frame_id)
-  , inputs_(private_handle_, scene, frames_, simulation_,
-            [this] {
-              if (mode_ == Mode::LOCKSTEP) wake();
-            })
-  , outputs_(private_handle_, simulation_)
-  , live_(private_handle_, scene)
-  , settings_{scene.material, scene.damping, scene.gravity, scene.node.publish_rate}
-  , pacer_(scene.time_step)
+    : mode_(scene.node.mode),
+      time_step_(scene.time_step),
+      simulation_(scene, threads, [](const std::string& line) { ROS_INFO("%s", line.c_str()); }),
+      frames_(scene.frame_id),
+      inputs_(private_handle_, scene, frames_, simulation_,
+              [this] {
+                if (mode_ == Mode::LOCKSTEP) wake();
+              }),
+      outputs_(private_handle_, simulation_),
+      live_(private_handle_, scene),
+      settings_{scene.material, scene.damping, scene.gravity, scene.node.publish_rate},
+      pacer_(scene.time_step)
 {
   const auto& regions = simulation_.supports().regions;
   for (std::size_t i = 0; i < regions.size(); ++i)
@@ -155,8 +155,8 @@ bool DeformableNode::onStep(Step::Request& request, Step::Response& response)
     StepRequest step{steps, {}};
     auto future = step.outcome.get_future();
     if (steps > LARGEST_STEP_REQUEST)
-      step.outcome.set_value(outcome(false, "steps is " + std::to_string(steps) + ", must be at most " +
-                                                std::to_string(LARGEST_STEP_REQUEST)));
+      step.outcome.set_value(outcome(
+          false, "steps is " + std::to_string(steps) + ", must be at most " + std::to_string(LARGEST_STEP_REQUEST)));
     else if (!lost_.empty())
       step.outcome.set_value(outcome(false, lost_ + "; call ~reset first"));
     else if (!paused_ && mode_ != Mode::LOCKSTEP)
@@ -325,7 +325,6 @@ void DeformableNode::makeStep()
     publish_now_ = true;
   }
 }
-
 
 /** Leads the regions that follow frames. Those whose frame tf does not know stay where they are. */
 void DeformableNode::followFrames()

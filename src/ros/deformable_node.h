@@ -113,7 +113,7 @@ private:
   // Times
   ros::Time now_;  // of this cycle
   Pacer pacer_;
-  ros::Time origin_;  // stamp of the simulated time 0, in lockstep
+  ros::Time origin_;    // stamp of the simulated time 0, in lockstep
   double skipped_ = 0;  // s, in lockstep
   RealTimeFactor real_time_factor_;
   long steps_made_ = 0;  // since the start
@@ -126,7 +126,7 @@ private:
     int substeps = 0, iterations = 0;  // largest
     double residual = 0, longest_ms = 0, total_ms = 0;
   } period_;
-  double dropped_told_ = 0;            // s
+  double dropped_told_ = 0;  // s
   std::uint64_t refusals_told_ = 0;
   diagnostic_updater::Updater diagnostics_;
 

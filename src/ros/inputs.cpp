@@ -48,11 +48,11 @@ Eigen::Matrix3Xd currentSurface(const Simulation& simulation)
 
 Inputs::Inputs(ros::NodeHandle& private_handle, const Scene& scene, const Frames& frames, const Simulation& simulation,
                std::function<void()> wake)
-  : settings_(scene.node)
-  , frames_(frames)
-  , simulation_(simulation)
-  , wake_(std::move(wake))
-  , tree_(simulation.surface().triangles, currentSurface(simulation))
+    : settings_(scene.node),
+      frames_(frames),
+      simulation_(simulation),
+      wake_(std::move(wake)),
+      tree_(simulation.surface().triangles, currentSurface(simulation))
 {
   const auto hints = ros::TransportHints().tcpNoDelay();
   const auto subscribe = [&](const char* topic, auto callback) {
@@ -208,8 +208,8 @@ void Inputs::activate(const Message& message, const Eigen::Isometry3d& pose, dou
     if (!(spot.distance <= settings_.wrench.max_distance))
     {
       refuse(TOO_FAR, message.name,
-             "its point is " + inMetres(spot.distance) + " from the surface, above node.wrench.max_distance = " +
-                 inMetres(settings_.wrench.max_distance));
+             "its point is " + inMetres(spot.distance) +
+                 " from the surface, above node.wrench.max_distance = " + inMetres(settings_.wrench.max_distance));
       continue;
     }
     ActiveLoad acting;

@@ -43,7 +43,7 @@ const char* complaint(const LiveConfig& config)
 }  // namespace
 
 LiveSettings::LiveSettings(const ros::NodeHandle& private_handle, const Scene& scene)
-  : last_(configOf(scene)), server_(server_mutex_, ros::NodeHandle(private_handle, topics::LIVE))
+    : last_(configOf(scene)), server_(server_mutex_, ros::NodeHandle(private_handle, topics::LIVE))
 {
   server_.updateConfig(last_);
   server_.setCallback([this](LiveConfig& config, std::uint32_t /*level*/) { onChange(config); });

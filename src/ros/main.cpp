@@ -8,9 +8,9 @@
 int main(int argc, char** argv)
 {
   ros::init(argc, argv, "deformable_node");
+  const ros::NodeHandle private_handle("~");  // outlives the rest: ROS shuts down, and logs no more, with the last one
   try
   {
-    const ros::NodeHandle private_handle("~");
     const bezier_fem::NodeParameters parameters = bezier_fem::readParameters(private_handle);
     bezier_fem::DeformableNode node(parameters.scene, parameters.threads);
     node.run();

@@ -28,7 +28,10 @@ std_msgs::ColorRGBA color(double r, double g, double b, double a = 1)
   return result;
 }
 
-std_msgs::ColorRGBA color(const Eigen::Vector3f& rgb) { return color(rgb[0], rgb[1], rgb[2]); }
+std_msgs::ColorRGBA color(const Eigen::Vector3f& rgb)
+{
+  return color(rgb[0], rgb[1], rgb[2]);
+}
 
 Marker newMarker(const std_msgs::Header& header, const std::string& ns, int id, int type)
 {
@@ -120,19 +123,18 @@ void fillSurface(const Surface& surface, const Eigen::Matrix3Xd& points, Marker&
 void fillStress(const Surface& surface, const Eigen::Matrix3Xd& points, const Eigen::Matrix3Xd& normals,
                 const Eigen::VectorXd& values, double largest, Marker& marker)
 {
-  static const Eigen::Vector3d key = Eigen::Vector3d(0.5, -0.6, 0.8).normalized();  // where the light comes from
+  static const Eigen::Vector3d key = Eigen::Vector3d(0.8, -0.3, 0.9).normalized();  // where the light comes from
   fillSurface(surface, points, marker);
   marker.ns = "stress";
   std::vector<std_msgs::ColorRGBA> colors(points.cols());
   for (Eigen::Index i = 0; i < points.cols(); ++i)
   {
     const Eigen::Vector3d n = normals.col(i);
-    const double shade = 0.5 + 0.15 * (1 + n.z()) / 2 + 0.35 * std::max(0.0, n.dot(key));  // ambient, sky, light
+    const double shade = 0.52 + 0.13 * (1 + n.z()) / 2 + 0.35 * std::max(0.0, n.dot(key));  // ambient, sky, light
     colors[i] = color((colorOf(values[i] / largest) * static_cast<float>(shade)).eval());
   }
   marker.colors.resize(surface.triangles.size());
-  for (Eigen::Index i = 0; i < surface.triangles.size(); ++i)
-    marker.colors[i] = colors[surface.triangles.data()[i]];
+  for (Eigen::Index i = 0; i < surface.triangles.size(); ++i) marker.colors[i] = colors[surface.triangles.data()[i]];
 }
 
 void addLegend(const std_msgs::Header& header, const Eigen::AlignedBox3d& body, double largest, MarkerArray& markers)
@@ -145,7 +147,8 @@ void addLegend(const std_msgs::Header& header, const Eigen::AlignedBox3d& body, 
   // A round column looks the same from everywhere
   Marker column = newMarker(header, "legend", 0, Marker::TRIANGLE_LIST);
   const auto add = [&](double angle, double z) {
-    column.points.push_back(toPoint(foot + Eigen::Vector3d(radius * std::cos(angle), radius * std::sin(angle), z * height)));
+    column.points.push_back(
+        toPoint(foot + Eigen::Vector3d(radius * std::cos(angle), radius * std::sin(angle), z * height)));
     column.colors.push_back(color(colorOf(z)));
   };
   for (int i = 0; i < SEGMENTS; ++i)
@@ -162,7 +165,7 @@ void addLegend(const std_msgs::Header& header, const Eigen::AlignedBox3d& body, 
 
   const Prefix prefix = pascals(largest);
   markers.markers.push_back(text(header, "legend", 1, foot + Eigen::Vector3d(0, 0, height + 1.6 * text_height),
-                                 text_height, std::string("von Mises, ") + prefix.unit));
+                                 text_height, std::string("von Mises [") + prefix.unit + "]"));
   const double step = roundStep(largest / 3);
   for (int i = 0; i < LARGEST_TICKS; ++i)
   {
@@ -180,7 +183,7 @@ class ForceMarkers::Painter
 {
 public:
   Painter(const std_msgs::Header& header, double size, MarkerArray& markers)
-    : header_(header), size_(size), markers_(markers)
+      : header_(header), size_(size), markers_(markers)
   {
   }
 
@@ -259,7 +262,7 @@ private:
     Marker& marker = add(ns, Marker::ARROW, paint);
     marker.points = {toPoint(tail), toPoint(tail + arrow)};
     marker.scale.x = shaft * size_;
-    marker.scale.y = 2.4 * shaft * size_;                              // width of the head
+    marker.scale.y = 2.4 * shaft * size_;                                // width of the head
     marker.scale.z = std::min(3.4 * shaft * size_, 0.5 * arrow.norm());  // and its length
   }
 

@@ -39,15 +39,15 @@ void toFloats(const Eigen::DenseBase<Derived>& values, std::vector<float>& float
 }  // namespace
 
 Outputs::Outputs(ros::NodeHandle& private_handle, const Simulation& simulation)
-  : simulation_(simulation)
-  , body_(boxOf(simulation.model().rest))
-  , surface_(private_handle.advertise<visualization_msgs::Marker>(topics::SURFACE, 1))
-  , stress_(private_handle.advertise<visualization_msgs::MarkerArray>(topics::STRESS, 1))
-  , forces_(private_handle.advertise<visualization_msgs::MarkerArray>(topics::FORCES, 1))
-  , topology_(private_handle.advertise<SurfaceTopology>(topics::TOPOLOGY, 1, true))
-  , state_(private_handle.advertise<BodyState>(topics::STATE, 10))
-  , stress_scale_(SMALLEST_SCALE * simulation.scene().material.young)
-  , force_markers_(body_.sizes().maxCoeff())
+    : simulation_(simulation),
+      body_(boxOf(simulation.model().rest)),
+      surface_(private_handle.advertise<visualization_msgs::Marker>(topics::SURFACE, 1)),
+      stress_(private_handle.advertise<visualization_msgs::MarkerArray>(topics::STRESS, 1)),
+      forces_(private_handle.advertise<visualization_msgs::MarkerArray>(topics::FORCES, 1)),
+      topology_(private_handle.advertise<SurfaceTopology>(topics::TOPOLOGY, 1, true)),
+      state_(private_handle.advertise<BodyState>(topics::STATE, 10)),
+      stress_scale_(SMALLEST_SCALE * simulation.scene().material.young),
+      force_markers_(body_.sizes().maxCoeff())
 {
   for (const HeldRegion& region : simulation.supports().regions)
     reactions_.push_back(private_handle.advertise<geometry_msgs::WrenchStamped>(topics::REACTION + region.name, 10));
@@ -110,8 +110,7 @@ void Outputs::publishState(const StepResult& result)
   message.kinetic_energy = energies.kinetic;
   message.elastic_energy = energies.elastic;
   message.gravity_energy = energies.gravity;
-  message.inverted_elements =
-      static_cast<std::uint32_t>(invertedElements(simulation_.model(), simulation_.state().x));
+  message.inverted_elements = static_cast<std::uint32_t>(invertedElements(simulation_.model(), simulation_.state().x));
 
   message.substeps = static_cast<std::uint32_t>(result.report.substeps);
   message.iterations = static_cast<std::uint32_t>(result.report.iterations);

@@ -19,7 +19,7 @@ public:
   /** Tells the clock's time; true if it jumped back. Neither that nor a clock not running yet (zero) owes a step. */
   bool advance(const ros::Time& now);
 
-  bool stepDue() const { return owed_ >= time_step_; }
+  bool stepDue() const { return owed_ > (1 - 1e-6) * time_step_; }  // clocks tick in whole nanoseconds
   void stepped() { owed_ -= time_step_; }
 
   /** The clock's time that the state is of after the steps made so far. */

@@ -84,8 +84,8 @@ NodeParameters readParameters(const ros::NodeHandle& private_handle)
   private_handle.getParam("", parameters);
   parameters.begin();  // makes it a struct where there are none
 
-  take(parameters, topics::LIVE);           // dynamic_reconfigure's
-  take(parameters, "diagnostic_period");    // diagnostic_updater's
+  take(parameters, topics::LIVE);         // dynamic_reconfigure's
+  take(parameters, "diagnostic_period");  // diagnostic_updater's
   NodeParameters result;
   if (const XmlRpcValue threads = take(parameters, "threads"); threads.valid())
   {

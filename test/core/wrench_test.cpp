@@ -24,7 +24,7 @@ struct Body
   Matrix3Xi triangles;
 
   Body(const Eigen::Vector3i& cells, const Vector3d& size, Element element = Element::QUADRATIC)
-    : model(boxModel(irregularBox(cells, size), element)), x(model.rest)
+      : model(boxModel(irregularBox(cells, size), element)), x(model.rest)
   {
     std::mt19937 random(3);
     const Eigen::Matrix3d turn = randomRotation(random);
@@ -173,8 +173,7 @@ TEST(WrenchTest, StaysInsideOneTriangleWhereThePatchIsSmall)
   const Body body({1, 1, 1}, {1, 1, 1});
   const SurfaceTree tree = body.tree();
   const Matrix3Xd p = body.positions();
-  const Vector3d middle =
-      (p.col(body.triangles(0, 0)) + p.col(body.triangles(1, 0)) + p.col(body.triangles(2, 0))) / 3;
+  const Vector3d middle = (p.col(body.triangles(0, 0)) + p.col(body.triangles(1, 0)) + p.col(body.triangles(2, 0))) / 3;
   const SurfacePatch patch = patchAround(tree, body.points, tree.nearest(middle), 1e-3);
   EXPECT_EQ(patch.points.size(), 3u);
   EXPECT_GE(patch.samples.size(), 10u);
