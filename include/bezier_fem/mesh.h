@@ -45,4 +45,10 @@ struct TetMesh
   std::vector<std::string> warnings;  // one line each, with the file's name; nothing here stops a run
 };
 
+/**
+ * A mid-edge node for every edge: the file's, or where it has none with the ids after its largest, in the order of the
+ * (smaller, larger) ids of their corners.
+ */
+std::vector<MidEdgeNode> midEdges(const TetMesh& mesh);
+
 }  // namespace bezier_fem

@@ -78,31 +78,18 @@ void numberNodes(const TetMesh& mesh, const std::vector<int>& order, Model& mode
   model.num_nodes = static_cast<int>(model.ends.size());
 }
 
-/** The file's ids; edges that have none get the ids after the largest, in the order of their corners' ids. */
+/** Ids of the mesh's corners and of midEdges(). */
 void assignIds(const TetMesh& mesh, Model& model)
 {
   std::unordered_map<std::uint64_t, std::int64_t> id_of_edge;
-  for (const MidEdgeNode& mid : mesh.mid_edges) id_of_edge[pairKey(mid.corner_a, mid.corner_b)] = mid.id;
-  model.ids.assign(model.num_nodes, 0);
-  std::map<std::pair<std::int64_t, std::int64_t>, int> without_id;
-  for (int i = 0; i < model.num_nodes; ++i)
+  if (model.quadratic())
   {
-    const auto [a, b] = model.ends[i];
-    if (a == b)
-    {
-      model.ids[i] = mesh.corner_ids[a];
-    }
-    else if (const auto found = id_of_edge.find(pairKey(a, b)); found != id_of_edge.end())
-    {
-      model.ids[i] = found->second;
-    }
-    else
-    {
-      without_id[std::minmax(mesh.corner_ids[a], mesh.corner_ids[b])] = i;
-    }
+    for (const MidEdgeNode& mid : midEdges(mesh)) id_of_edge[pairKey(mid.corner_a, mid.corner_b)] = mid.id;
   }
-  std::int64_t id = mesh.largest_id;
-  for (const auto& entry : without_id) model.ids[entry.second] = ++id;
+  for (const auto& [a, b] : model.ends)
+  {
+    model.ids.push_back(a == b ? mesh.corner_ids[a] : id_of_edge.at(pairKey(a, b)));
+  }
 }
 
 void findBoundary(Model& model)
@@ -172,6 +159,28 @@ void fillBlocks(Model& model)
   }
 }
 }  // namespace
+
+std::vector<MidEdgeNode> midEdges(const TetMesh& mesh)
+{
+  if (!mesh.mid_edges.empty()) return mesh.mid_edges;
+  // By the ids of their corners, the smaller one first.
+  std::map<std::pair<std::int64_t, std::int64_t>, MidEdgeNode> edges;
+  for (Eigen::Index t = 0; t < mesh.tets.cols(); ++t)
+  {
+    for (const auto& edge : EDGE_CORNERS)
+    {
+      const int a = mesh.tets(edge[0], t), b = mesh.tets(edge[1], t);
+      edges[std::minmax(mesh.corner_ids[a], mesh.corner_ids[b])] = {std::min(a, b), std::max(a, b), 0};
+    }
+  }
+  std::vector<MidEdgeNode> result;
+  for (const auto& entry : edges)
+  {
+    result.push_back(entry.second);
+    result.back().id = mesh.largest_id + static_cast<std::int64_t>(result.size());
+  }
+  return result;
+}
 
 double Model::mass() const { return std::accumulate(node_mass.begin(), node_mass.end(), 0.0); }
 

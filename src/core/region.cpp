@@ -22,7 +22,7 @@ RegionSelector::RegionSelector(const TetMesh& mesh) : mesh_(mesh)
   {
     ends_of_id_[mesh.corner_ids[c]] = {static_cast<int>(c), static_cast<int>(c)};
   }
-  for (const MidEdgeNode& mid : mesh.mid_edges) ends_of_id_[mid.id] = {mid.corner_a, mid.corner_b};
+  for (const MidEdgeNode& mid : midEdges(mesh)) ends_of_id_[mid.id] = {mid.corner_a, mid.corner_b};
 }
 
 const MeshGroup& RegionSelector::group(const std::string& name, const std::string& key) const

@@ -62,7 +62,7 @@ TetMesh loadMesh(const Scene::Model& model, const Simulation::Log& log, Placemen
     if (model.longest_side) placement.scale = *model.longest_side / longestSide(readSurfaceMesh(model.file).points);
     mesh = readTetMesh(meshedSurface(model.file, *model.cell_size, placement.scale, log));
   }
-  for (const std::string& warning : mesh.warnings) log(model.file + ": " + warning);
+  for (const std::string& warning : mesh.warnings) log(warning);
   Placement{scale_left, placement.T_world_model}.apply(mesh.corners);
   return mesh;
 }
@@ -184,7 +184,7 @@ NodalField initialPositions(const Scene& scene, const Model& model, const TetMes
   const std::string& file = *scene.initial.positions;
   const std::map<std::int64_t, Eigen::Vector3d> listed = readPositions(file);
   std::set<std::int64_t> known(model.ids.begin(), model.ids.end());
-  for (const MidEdgeNode& mid : mesh.mid_edges) known.insert(mid.id);
+  for (const MidEdgeNode& mid : midEdges(mesh)) known.insert(mid.id);
   for (const auto& [id, p] : listed)
   {
     if (!known.count(id)) throw InputError(file + ": no tetrahedron of the mesh has a node " + std::to_string(id));

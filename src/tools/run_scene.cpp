@@ -25,6 +25,7 @@ namespace
 using namespace bezier_fem;
 
 constexpr int DONE = 0, FAILED = 1, WRONG_INPUT = 2;
+constexpr long MOST_STEPS = 1000000000;
 
 struct Options
 {
@@ -124,7 +125,13 @@ public:
   void simulate()
   {
     const double dt = simulation_.scene().time_step;
-    const long steps = options_.steps >= 0 ? options_.steps : std::lround(std::ceil(options_.duration / dt - 1e-6));
+    const double wanted = options_.steps >= 0 ? static_cast<double>(options_.steps) : std::ceil(options_.duration / dt - 1e-6);
+    if (wanted > static_cast<double>(MOST_STEPS))
+    {
+      throw InputError("run_scene: --duration " + toString(options_.duration) + " is more than " + std::to_string(MOST_STEPS) +
+                       " steps of " + toString(dt) + " s");
+    }
+    const long steps = std::lround(wanted);
     writeRow();
     watchEnergy();
     for (long step = 1; step <= steps; ++step)
@@ -345,12 +352,13 @@ int main(int argc, char** argv)
 {
   Options options;
   std::vector<std::string> positional;
-  const auto atLeast = [](long least) {
+  const auto wholeNumber = [](long least, long most) {
     return CLI::Validator(
-        [least](const std::string& text) {
+        [least, most](const std::string& text) {
           long value = 0;
-          const bool ok = CLI::detail::lexical_cast(text, value) && value >= least;
-          return ok ? std::string() : text + " is not a whole number of at least " + std::to_string(least);
+          const bool ok = CLI::detail::lexical_cast(text, value) && value >= least && value <= most;
+          return ok ? std::string()
+                    : text + " is not a whole number from " + std::to_string(least) + " to " + std::to_string(most);
         },
         "");
   };
@@ -358,7 +366,7 @@ int main(int argc, char** argv)
   app.add_option("SCENE", positional, "Scene file, YAML")->required();
   auto* duration = app.add_option("--duration", options.duration, "Simulated time in s (default 1)");
   auto* steps = app.add_option("--steps", options.steps, "Number of time steps, instead of a duration")
-                    ->check(atLeast(0))
+                    ->check(wholeNumber(0, MOST_STEPS))
                     ->excludes(duration);
   app.add_flag("--static", options.statics, "Static equilibrium instead of a simulation; overrides the scene's integrator")
       ->excludes(duration)
@@ -372,8 +380,8 @@ int main(int argc, char** argv)
   app.add_option("--vtu", options.vtu, "Folder for a ParaView series");
   app.add_option("--summary", options.summary, "JSON file for what came out of the run");
   app.add_option("--every", options.every, "Rows and ParaView files only for every K-th step, and the first and last")
-      ->check(atLeast(1));
-  app.add_option("--threads", options.threads, "Threads (default 1)")->check(atLeast(1));
+      ->check(wholeNumber(1, MOST_STEPS));
+  app.add_option("--threads", options.threads, "Threads (default 1)")->check(wholeNumber(1, 1024));
   app.footer("Exit status: 0 done, 1 the run failed (diverged, not converged), 2 the input is wrong.");
   try
   {
