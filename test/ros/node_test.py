@@ -24,6 +24,18 @@ from body_client import PATIENCE, Body, Inbox, xyz
 TIP = (0.2, 0.2, 1.0)
 SETTLED = 300  # steps
 
+ANOTHER_NODE = '''
+import rospy
+from bezier_fem.msg import PointWrench
+from geometry_msgs.msg import Point, Vector3
+rospy.init_node('another')
+message = PointWrench(id='b', point=Point(0.2, 0.2, 1.0))
+message.header.frame_id = 'world'
+message.wrench.force = Vector3(1.5, 0, 0)
+rospy.Publisher('/body/point_wrench', PointWrench, queue_size=1, latch=True).publish(message)
+rospy.spin()
+'''
+
 
 def transform(child, stamp, xyz_, yaw=0.0, quaternion=None):
     message = TransformStamped()
@@ -163,9 +175,7 @@ class NodeTest(unittest.TestCase):
         self.wrench.publish(message)
         self.body.wait_acting(3)
         self.body.pull(TIP, force=(0, 0, 3), name='b')
-        other = subprocess.Popen(
-            ['rostopic', 'pub', '/body/point_wrench', 'bezier_fem/PointWrench', '--latch',
-             '{header: {frame_id: world}, id: b, point: {x: 0.2, y: 0.2, z: 1.0}, wrench: {force: {x: 1.5}}}'])
+        other = subprocess.Popen([sys.executable, '-c', ANOTHER_NODE])
         try:
             self.body.wait_acting(4)
         finally:
