@@ -139,7 +139,7 @@ void fillStress(const Surface& surface, const Eigen::Matrix3Xd& points, const Ei
 
 void addLegend(const std_msgs::Header& header, const Eigen::AlignedBox3d& body, double largest, MarkerArray& markers)
 {
-  constexpr int SEGMENTS = 48, SIDES = 12, LARGEST_TICKS = 8;
+  constexpr int SEGMENTS = 32, SIDES = 8, LARGEST_TICKS = 8;
   const double size = body.sizes().maxCoeff();
   const double height = 0.7 * size, radius = 0.02 * size, text_height = 0.05 * size;
   const Eigen::Vector3d foot(body.center().x(), body.max().y() + 0.3 * size, body.center().z() - height / 2);

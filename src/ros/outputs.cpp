@@ -73,12 +73,12 @@ void Outputs::publish(const StepResult& result, const std::map<std::string, Inpu
   if (stress)
   {
     stress_scale_.update(scaleOf(von_mises_), elapsed);
-    stress_marker_.header = header;
-    fillStress(simulation_.surface(), positions_, normals_, von_mises_, stress_scale_.value(), stress_marker_);
-    visualization_msgs::MarkerArray markers;
-    markers.markers.push_back(stress_marker_);
-    addLegend(header, body_, stress_scale_.value(), markers);
-    stress_.publish(markers);
+    stress_markers_.markers.resize(1);
+    stress_markers_.markers[0].header = header;
+    fillStress(simulation_.surface(), positions_, normals_, von_mises_, stress_scale_.value(),
+               stress_markers_.markers[0]);
+    addLegend(header, body_, stress_scale_.value(), stress_markers_);
+    stress_.publish(stress_markers_);
   }
   if (forces_.getNumSubscribers() > 0)
   {

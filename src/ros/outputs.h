@@ -45,7 +45,8 @@ private:
   // Kept for their memory
   Eigen::Matrix3Xd positions_, normals_;
   Eigen::VectorXd von_mises_;
-  visualization_msgs::Marker surface_marker_, stress_marker_;
+  visualization_msgs::Marker surface_marker_;
+  visualization_msgs::MarkerArray stress_markers_;
   BodyState state_message_;
 };
 
