@@ -14,7 +14,9 @@ struct SurfaceMesh
 };
 
 /**
- * Reads .off, .obj, .stl or .ply. Points at identical positions are merged, so that an .stl is connected too.
+ * Reads .off, .obj, .stl or .ply, text or binary (.off: text). Points at identical positions are merged, so that an
+ * .stl is connected too; polygons are cut into triangles; what is in no triangle, and triangles with two corners at the
+ * same position, are left out.
  * @throws InputError, naming the file and what is wrong with it.
  */
 SurfaceMesh readSurfaceMesh(const std::string& path);
