@@ -7,7 +7,8 @@ generate_dynamic_reconfigure_options(cfg/Live.cfg)
 catkin_package(
   INCLUDE_DIRS include
   LIBRARIES bezier_fem
-  CATKIN_DEPENDS geometry_msgs message_runtime std_msgs std_srvs visualization_msgs
+  CATKIN_DEPENDS
+    diagnostic_msgs dynamic_reconfigure geometry_msgs message_runtime roscpp std_msgs std_srvs visualization_msgs
   DEPENDS EIGEN3)
 
 # Programs find each other, and tests find them, in one folder

@@ -34,7 +34,7 @@ std::array<Eigen::Vector3f, COLORS> makeMap()
   for (int i = 0; i < COLORS; ++i)
   {
     const double t = static_cast<double>(i) / (COLORS - 1);
-    const double lightness = 0.42 + 0.50 * t;
+    const double lightness = 0.47 + 0.45 * t;
     const double hue = (275 + (443 - 275) * t) * DEGREE;
     double chroma = 0.20;
     Eigen::Vector3d rgb;

@@ -18,13 +18,13 @@ namespace bezier_fem
 class SmoothedScale
 {
 public:
-  explicit SmoothedScale(double smallest) : value_(0), smallest_(smallest) {}
+  explicit SmoothedScale(double smallest) : smallest_(smallest) {}
   /** @param elapsed  s since the last update */
   void update(double largest, double elapsed);
   double value() const { return std::max(value_, smallest_); }
 
 private:
-  double value_, smallest_;
+  double value_ = 0, smallest_;
 };
 
 /** The 99th percentile: a few corners where stress has a pole do not darken all the rest. */
