@@ -79,7 +79,8 @@ BlockMatrix assemble(const Model& model, double dt)
           double overlap = 1.0 / 210;
           std::array<int, 4> i{}, j{};
           ++i[a], ++i[b], ++j[e], ++j[f];
-          for (int c = 0; c < CORNERS; ++c) overlap *= i[c] + j[c] == 4 ? 6 : i[c] + j[c] == 3 ? 3 : i[c] * j[c] == 1 ? 2 : 1;
+          for (int c = 0; c < CORNERS; ++c)
+            overlap *= i[c] + j[c] == 4 ? 6 : i[c] + j[c] == 3 ? 3 : i[c] * j[c] == 1 ? 2 : 1;
           block += m.density * volume * overlap * Eigen::Matrix3d::Identity();
         }
         rows[model.nodesOf(t)[I]].try_emplace(model.nodesOf(t)[J], Eigen::Matrix3d::Zero()).first->second += block;
@@ -128,8 +129,11 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, i
   std::vector<double> x(3L * model.num_nodes), y(x.size());
   NodalField u(model.num_nodes), v(model.num_nodes);
   for (int i = 0; i < 3 * model.num_nodes; ++i) x[i] = u[i / 3][i % 3] = std::sin(i);
-  const double plain = fastestMedian([&] { plainProduct(model.num_nodes, A.row_begin.data(), A.column.data(), A.blocks.data(), x.data(), y.data()); });
-  const double padded = fastestMedian([&] { paddedProduct(model.num_nodes, A.row_begin.data(), A.column.data(), A.columns.data(), u.data(), v.data()); });
+  const double plain = fastestMedian(
+      [&] { plainProduct(model.num_nodes, A.row_begin.data(), A.column.data(), A.blocks.data(), x.data(), y.data()); });
+  const double padded = fastestMedian([&] {
+    paddedProduct(model.num_nodes, A.row_begin.data(), A.column.data(), A.columns.data(), u.data(), v.data());
+  });
   const double unit = std::min(plain, padded);
 
   const Partition partition(model, threads);
@@ -157,9 +161,9 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, i
     worst = std::max(worst, report.residual);
   }
   const std::string name = file.substr(file.find_last_of('/') + 1);
-  std::printf("| %s | %d | %d | %d | %.2f | %.2f | %.2f | %.2f | %.2f | %.0f | %.1e | %.3f | %.0f | %.2f |\n", name.c_str(),
-              model.num_tets, model.num_nodes, threads, median(rotation), median(assembly), median(force), median(solve),
-              median(total), median(iterations), worst, unit, median(total) / unit, own / unit);
+  std::printf("| %s | %d | %d | %d | %.2f | %.2f | %.2f | %.2f | %.2f | %.0f | %.1e | %.3f | %.0f | %.2f |\n",
+              name.c_str(), model.num_tets, model.num_nodes, threads, median(rotation), median(assembly), median(force),
+              median(solve), median(total), median(iterations), worst, unit, median(total) / unit, own / unit);
   std::fflush(stdout);
 }
 }  // namespace
@@ -169,7 +173,8 @@ int main(int argc, char** argv)
   std::vector<std::string> scenes, overrides;
   std::vector<int> threads{1, 2};
   int steps = 60;
-  CLI::App app{"Times whole steps of scenes, in ms (medians), and in products of an assembled matrix of the same model."};
+  CLI::App app{
+      "Times whole steps of scenes, in ms (medians), and in products of an assembled matrix of the same model."};
   app.add_option("SCENE", scenes, "Scene files")->required();
   app.add_option("--set", overrides, "KEY=VALUE for every scene")->take_all()->allow_extra_args(false);
   app.add_option("--threads", threads, "Numbers of threads, each measured");
@@ -177,9 +182,10 @@ int main(int argc, char** argv)
   CLI11_PARSE(app, argc, argv);
   try
   {
-    std::printf("| scene | tets | nodes | threads | rotation | diagonal | force | solve | whole step | iterations | worst "
-                "residual | one product | step in products | own product in products |\n"
-                "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n");
+    std::printf(
+        "| scene | tets | nodes | threads | rotation | diagonal | force | solve | whole step | iterations | worst "
+        "residual | one product | step in products | own product in products |\n"
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|\n");
     for (const std::string& scene : scenes)
     {
       for (const int count : threads) bench(scene, overrides, count, steps);

@@ -36,9 +36,10 @@ struct Reaction
 struct Supports
 {
   std::vector<HeldRegion> regions;
-  HeldAxes held;                            // of all regions
-  std::vector<std::array<int, 3>> region;   // of each node and axis the region that holds it, the last that names it; or -1
-  NodalField start;                         // where regions are held: the initial positions, m
+  HeldAxes held;  // of all regions
+  std::vector<std::array<int, 3>>
+      region;        // of each node and axis the region that holds it, the last that names it; or -1
+  NodalField start;  // where regions are held: the initial positions, m
 };
 
 /** Pose at a time: linear and spherical linear between samples, the first one's before it and the last one's after. */
@@ -57,10 +58,10 @@ std::vector<Reaction> reactions(const Supports& supports, const NodalField& x, c
 /** A load with its time window: forces on control points that do not change, or a pressure on faces. */
 struct AppliedLoad
 {
-  double from, until;                                       // s; acts while from <= t < until
-  std::vector<std::pair<int, Eigen::Vector3d>> nodal;       // N
-  double pressure = 0;                                      // Pa, into the body
-  std::vector<Model::Face> faces;                           // that the pressure acts on
+  double from, until;                                  // s; acts while from <= t < until
+  std::vector<std::pair<int, Eigen::Vector3d>> nodal;  // N
+  double pressure = 0;                                 // Pa, into the body
+  std::vector<Model::Face> faces;                      // that the pressure acts on
 };
 
 /** Adds the loads that act at `time` to f, in N; pressure along the normals of the current positions x. */

@@ -20,9 +20,8 @@ struct SolveReport
 
 /**
  * Conjugate gradients for (alpha M + beta K') u = b on the components that are not held, preconditioned by the inverse
- * of the system's 3x3 diagonal blocks B. The residual is measured as sqrt(r^T B^-1 r), which strong contrasts of mass or
- * stiffness do not distort, and it has converged when that is at most
- *     tolerance * max(sqrt(b^T B^-1 b), floor),
+ * of the system's 3x3 diagonal blocks B. The residual is measured as sqrt(r^T B^-1 r), which strong contrasts of mass
+ * or stiffness do not distort, and it has converged when that is at most tolerance * max(sqrt(b^T B^-1 b), floor),
  * floor being the same of the right-hand side of a uniform acceleration (prepare()). The residual counts from
  * b - A u computed afresh at the end; if rounding had let it drift, the iteration goes on from there.
  */

@@ -18,7 +18,8 @@
  */
 namespace bezier_fem
 {
-/** out = f_el(x) = K' x - f_0, N: the force that the body exerts against its deformation (Weber et al. 2011, Eq. 19). */
+/** out = f_el(x) = K' x - f_0, N: the force that the body exerts against its deformation (Weber et al. 2011, Eq. 19).
+ */
 void elasticForce(const Model& model, const Partition& partition, const Rotations& rotations, const NodalField& x,
                   NodalField& out);
 

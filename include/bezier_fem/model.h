@@ -22,20 +22,20 @@ constexpr int LANES = 8;
 struct Model
 {
   int num_tets = 0;
-  int num_nodes = 0;        // control points: corners, and for quadratic elements edges
-  int num_corners = 0;      // of the mesh
-  int nodes_per_tet = 0;    // 4 or 10
+  int num_nodes = 0;      // control points: corners, and for quadratic elements edges
+  int num_corners = 0;    // of the mesh
+  int nodes_per_tet = 0;  // 4 or 10
 
-  NodalField rest;                 // X, rest control points, m, in the world frame
-  std::vector<int> tets;           // num_tets x nodes_per_tet node indices, local order of bernstein.h
-  std::vector<double> volumes;     // num_tets, m^3, positive
-  Eigen::Matrix3Xd gradients;      // 3 x (3 num_tets): g_1, g_2, g_3 of each element, 1/m; g_0 = -(g_1 + g_2 + g_3)
+  NodalField rest;                  // X, rest control points, m, in the world frame
+  std::vector<int> tets;            // num_tets x nodes_per_tet node indices, local order of bernstein.h
+  std::vector<double> volumes;      // num_tets, m^3, positive
+  Eigen::Matrix3Xd gradients;       // 3 x (3 num_tets): g_1, g_2, g_3 of each element, 1/m; g_0 = -(g_1 + g_2 + g_3)
   std::vector<Material> materials;  // num_tets
 
-  std::vector<int> node_of_corner;         // mesh corner -> node
-  std::vector<std::array<int, 2>> ends;    // node -> its two mesh corners (equal for a corner's node)
-  std::vector<std::int64_t> ids;           // node -> the mesh file's id, or one after its largest (INTERFACE)
-  std::vector<int> tet_of_mesh_tet;        // mesh tet -> element
+  std::vector<int> node_of_corner;       // mesh corner -> node
+  std::vector<std::array<int, 2>> ends;  // node -> its two mesh corners (equal for a corner's node)
+  std::vector<std::int64_t> ids;         // node -> the mesh file's id, or one after its largest (INTERFACE)
+  std::vector<int> tet_of_mesh_tet;      // mesh tet -> element
 
   struct Face
   {
@@ -79,6 +79,9 @@ inline double lameLambda(const Material& m)
   return m.young * m.poisson / ((1 + m.poisson) * (1 - 2 * m.poisson));
 }
 /** Shear modulus, Pa. */
-inline double lameMu(const Material& m) { return m.young / (2 * (1 + m.poisson)); }
+inline double lameMu(const Material& m)
+{
+  return m.young / (2 * (1 + m.poisson));
+}
 
 }  // namespace bezier_fem

@@ -27,8 +27,8 @@ Eigen::Matrix3d polarRotation(const Eigen::Matrix3d& F, const Eigen::Matrix3d& b
 /** One rotation an element and what it makes of the gradients, in the blocks of model.h. */
 struct Rotations
 {
-  AlignedVector<double> matrices;   // [block][9][LANES], row-major, world from rest
-  AlignedVector<double> gradients;  // [block][9][LANES]: R g_1, R g_2, R g_3, 1/m
+  AlignedVector<double> matrices;    // [block][9][LANES], row-major, world from rest
+  AlignedVector<double> gradients;   // [block][9][LANES]: R g_1, R g_2, R g_3, 1/m
   std::vector<unsigned char> flags;  // [block][LANES]: bit 0 where s2 + s3 is well above zero, bit 1 where det F <= 0
 
   Eigen::Matrix3d matrix(int tet) const;
@@ -41,8 +41,8 @@ struct Rotations
 /** What a new set of rotations says of the step that led to it. */
 struct Turn
 {
-  double angle = 0;   // rad, the largest between before and after of elements whose rotation is unique in both
-  int inverted = 0;   // elements with det F <= 0 of their corners
+  double angle = 0;  // rad, the largest between before and after of elements whose rotation is unique in both
+  int inverted = 0;  // elements with det F <= 0 of their corners
 };
 
 /** No rotation at all: R = 1, as linear elasticity has it. */
@@ -53,6 +53,6 @@ Rotations restRotations(const Model& model);
  * Newton's method, vectorised over elements, checked for having found the maximum; polarRotation() where it has not.
  */
 Turn updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,
-                       Rotations& after, AlignedVector<double>& turned);
+                     Rotations& after, AlignedVector<double>& turned);
 
 }  // namespace bezier_fem

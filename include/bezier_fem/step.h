@@ -96,8 +96,8 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
 
 /**
  * Moves x to the static equilibrium f_el(x) = f_ext(x) of the loads of the current time and stops the body. Converged
- * when |f_ext - f_el| over the components that are free is at most the tolerance times |f_ext| plus the same norm of the
- * supports' forces.
+ * when |f_ext - f_el| over the components that are free is at most the tolerance times |f_ext| plus the same norm of
+ * the supports' forces.
  * @param progress  called before each iteration with the relative residual; may be empty
  */
 StepReport solveStatic(const Model& model, const StepSettings& settings, const Supports& supports,

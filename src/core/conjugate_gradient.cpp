@@ -35,13 +35,13 @@ Eigen::Matrix3d invertFree(const double* d, std::uint8_t held)
 }  // namespace
 
 ConjugateGradient::ConjugateGradient(const Model& model, const Partition& partition)
-  : diagonal_(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * partition.rows())
-  , inverse_(static_cast<std::size_t>(kernels::INVERSE_STRIDE) * model.num_nodes)
-  , r_(partition.rows())
-  , z_(model.num_nodes)
-  , p_(model.num_nodes)
-  , q_(partition.rows())
-  , partial_(static_cast<std::size_t>(partition.threads()) * PARTIAL_STRIDE)
+    : diagonal_(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * partition.rows()),
+      inverse_(static_cast<std::size_t>(kernels::INVERSE_STRIDE) * model.num_nodes),
+      r_(partition.rows()),
+      z_(model.num_nodes),
+      p_(model.num_nodes),
+      q_(partition.rows()),
+      partial_(static_cast<std::size_t>(partition.threads()) * PARTIAL_STRIDE)
 {
 }
 
@@ -137,8 +137,8 @@ SolveReport ConjugateGradient::solve(const Model& model, const Partition& partit
     while (report.iterations < max_iterations)
     {
       systemProduct(model, partition, rotations, alpha_, beta_, p_, q_);
-      const double curvature = sumOverThreads(
-          partition, [&](int begin, int end) { return kernel.dot(begin, end, p_.data(), q_.data()); });
+      const double curvature =
+          sumOverThreads(partition, [&](int begin, int end) { return kernel.dot(begin, end, p_.data(), q_.data()); });
       ++report.iterations;
       if (!(curvature > 0)) break;
       const double before = rz;

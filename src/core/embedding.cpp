@@ -31,7 +31,10 @@ double squaredDistanceToTriangle(const Eigen::Vector3d& p, const Eigen::Vector3d
   return std::min({toSegment(a, b), toSegment(b, c), toSegment(c, a)});
 }
 
-Eigen::Vector3d corner(const Model& model, int tet, int a) { return model.rest[model.nodesOf(tet)[a]]; }
+Eigen::Vector3d corner(const Model& model, int tet, int a)
+{
+  return model.rest[model.nodesOf(tet)[a]];
+}
 
 Eigen::Vector4d barycentric(const Model& model, int tet, const Eigen::Vector3d& p)
 {

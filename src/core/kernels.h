@@ -48,8 +48,7 @@ struct Table
    * @param flags      [block][LANES], result, RotationFlag bits
    */
   void (*update_rotations)(const Elements& elements, int begin, int end, const double* gradients, const double* x,
-                           const double* before, double* after, double* rotated, double* turned,
-                           unsigned char* flags);
+                           const double* before, double* after, double* rotated, double* turned, unsigned char* flags);
 
   /** y += (alpha M + beta K') u over blocks [begin, end). */
   void (*add_product)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,

@@ -10,17 +10,35 @@ using Vec = double __attribute__((vector_size(sizeof(double) * WIDTH)));
 using Node = double __attribute__((vector_size(sizeof(double) * 4)));
 static_assert(LANES % WIDTH == 0, "a block is a whole number of registers");
 
-inline Vec load(const double* p) { return *reinterpret_cast<const Vec*>(p); }
-inline void store(double* p, Vec v) { *reinterpret_cast<Vec*>(p) = v; }
-inline Node loadNode(const double* base, int node) { return *reinterpret_cast<const Node*>(base + 4L * node); }
+inline Vec load(const double* p)
+{
+  return *reinterpret_cast<const Vec*>(p);
+}
+inline void store(double* p, Vec v)
+{
+  *reinterpret_cast<Vec*>(p) = v;
+}
+inline Node loadNode(const double* base, int node)
+{
+  return *reinterpret_cast<const Node*>(base + 4L * node);
+}
 
 struct Vec3
 {
   Vec x, y, z;
 };
-inline Vec3 operator+(const Vec3& a, const Vec3& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-inline Vec3 operator-(const Vec3& a, const Vec3& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-inline Vec3 operator*(Vec s, const Vec3& a) { return {s * a.x, s * a.y, s * a.z}; }
+inline Vec3 operator+(const Vec3& a, const Vec3& b)
+{
+  return {a.x + b.x, a.y + b.y, a.z + b.z};
+}
+inline Vec3 operator-(const Vec3& a, const Vec3& b)
+{
+  return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+inline Vec3 operator*(Vec s, const Vec3& a)
+{
+  return {s * a.x, s * a.y, s * a.z};
+}
 
 /** The values of WIDTH nodes, one a lane: a transpose from x, y, z, 0 in memory to three registers. */
 inline Vec3 gather(const double* base, const int* nodes)
@@ -125,8 +143,8 @@ inline RotatedGradients loadGradients(const double* p)
  * Stress of the strain sym(sum_d u_d r_d^T) - identity, u_d measured from u_0, which sum_d r_d = 0 allows and which
  * keeps a body far from the origin exact.
  */
-inline Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, const Vec3& u3, double identity, Vec lambda,
-                  Vec mu)
+inline Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, const Vec3& u3, double identity,
+                  Vec lambda, Vec mu)
 {
   const Vec3 &a = g.r[1], &b = g.r[2], &c = g.r[3];
   const Vec exx = u1.x * a.x + u2.x * b.x + u3.x * c.x - identity;
@@ -136,8 +154,7 @@ inline Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, con
   const Vec exz = u1.x * a.z + u2.x * b.z + u3.x * c.z + u1.z * a.x + u2.z * b.x + u3.z * c.x;
   const Vec eyz = u1.y * a.z + u2.y * b.z + u3.y * c.z + u1.z * a.y + u2.z * b.y + u3.z * c.y;
   const Vec pressure = lambda * (exx + eyy + ezz), two_mu = mu + mu;
-  return {pressure + two_mu * exx, mu * exy,        mu * exz, pressure + two_mu * eyy, mu * eyz,
-          pressure + two_mu * ezz};
+  return {pressure + two_mu * exx, mu * exy, mu * exz, pressure + two_mu * eyy, mu * eyz, pressure + two_mu * ezz};
 }
 
 /** Local control point (a,b); bernstein.h has the same table for the rest of the library. */
@@ -162,8 +179,8 @@ inline void elasticForce(const RotatedGradients& g, const Vec3* u, double identi
     for (int c = 0; c < 4; ++c)
     {
       const Vec3& origin = u[POINT[c][0]];
-      q[c] = stress(g, u[POINT[c][1]] - origin, u[POINT[c][2]] - origin, u[POINT[c][3]] - origin, 0.5 * identity, lambda,
-                    mu);
+      q[c] = stress(g, u[POINT[c][1]] - origin, u[POINT[c][2]] - origin, u[POINT[c][3]] - origin, 0.5 * identity,
+                    lambda, mu);
     }
     const Sym sum = q[0] + q[1] + q[2] + q[3];
     for (int c = 0; c < 4; ++c) q[c] = q[c] + sum;
@@ -268,7 +285,10 @@ inline void scatterDiagonal(double* d, const int* nodes, Sym s, Vec mass)
   }
 }
 
-inline Sym operator*(Vec s, const Sym& m) { return {s * m.xx, s * m.xy, s * m.xz, s * m.yy, s * m.yz, s * m.zz}; }
+inline Sym operator*(Vec s, const Sym& m)
+{
+  return {s * m.xx, s * m.xy, s * m.xz, s * m.yy, s * m.yz, s * m.zz};
+}
 
 template <int NODES>
 void addDiagonal(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
@@ -451,8 +471,7 @@ void updateRotations(const Elements& elements, int begin, int end, const double*
         const Vec3& v = g.r[a + 1];
         for (int i = 0; i < 3; ++i)
         {
-          store(rotated + (9L * block + 3 * a + i) * LANES + part,
-                r.m[i][0] * v.x + r.m[i][1] * v.y + r.m[i][2] * v.z);
+          store(rotated + (9L * block + 3 * a + i) * LANES + part, r.m[i][0] * v.x + r.m[i][1] * v.y + r.m[i][2] * v.z);
         }
       }
       const Vec det = f.m[0][0] * (f.m[1][1] * f.m[2][2] - f.m[1][2] * f.m[2][1]) +

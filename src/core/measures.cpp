@@ -35,7 +35,10 @@ Stress toVector(const Eigen::Matrix3d& s)
   return (Stress() << s(0, 0), s(1, 1), s(2, 2), s(0, 1), s(1, 2), s(0, 2)).finished();
 }
 
-MaterialPoint cornerOf(int tet, int c) { return {tet, Eigen::Vector4d::Unit(c)}; }
+MaterialPoint cornerOf(int tet, int c)
+{
+  return {tet, Eigen::Vector4d::Unit(c)};
+}
 }  // namespace
 
 double vonMises(const Stress& s)

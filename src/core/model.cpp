@@ -182,9 +182,15 @@ std::vector<MidEdgeNode> midEdges(const TetMesh& mesh)
   return result;
 }
 
-double Model::mass() const { return std::accumulate(node_mass.begin(), node_mass.end(), 0.0); }
+double Model::mass() const
+{
+  return std::accumulate(node_mass.begin(), node_mass.end(), 0.0);
+}
 
-double Model::volume() const { return std::accumulate(volumes.begin(), volumes.end(), 0.0); }
+double Model::volume() const
+{
+  return std::accumulate(volumes.begin(), volumes.end(), 0.0);
+}
 
 std::array<int, 6> Model::nodesOf(const Face& face) const
 {

@@ -11,7 +11,8 @@ Partition::Partition(const Model& model, int threads) : num_nodes_(model.num_nod
   {
     block_begin_.push_back(static_cast<int>(static_cast<long>(model.num_blocks) * t / threads));
     // Whole cache lines (two nodes), so that no two threads write to one.
-    node_begin_.push_back(t == threads ? model.num_nodes : static_cast<int>(static_cast<long>(model.num_nodes) * t / threads) & ~1);
+    node_begin_.push_back(t == threads ? model.num_nodes
+                                       : static_cast<int>(static_cast<long>(model.num_nodes) * t / threads) & ~1);
   }
   std::vector<int> owner(model.num_nodes, -1), row(model.num_nodes, -1);
   for (int t = 0; t < threads; ++t)

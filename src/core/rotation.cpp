@@ -12,14 +12,17 @@ namespace bezier_fem
 namespace
 {
 /**
- * s2 + s3 below which it counts as zero, relative to s1 + s2 or, for an element smaller than at rest, to the rest shape's
- * 1: the gradient of a body collapsed to a point is rounding noise.
+ * s2 + s3 below which it counts as zero, relative to s1 + s2 or, for an element smaller than at rest, to the rest
+ * shape's 1: the gradient of a body collapsed to a point is rounding noise.
  */
 constexpr double SAME = 1e-6;
 /** Below this margin an element's rotation may jump, so that its change says nothing about the length of the step. */
 constexpr double UNIQUE_MARGIN = 0.1;
 
-std::size_t offset(int tet, int entries) { return (static_cast<std::size_t>(tet / LANES) * entries) * LANES + tet % LANES; }
+std::size_t offset(int tet, int entries)
+{
+  return (static_cast<std::size_t>(tet / LANES) * entries) * LANES + tet % LANES;
+}
 
 Eigen::Matrix3d loadMatrix(const AlignedVector<double>& blocks, int slot)
 {
@@ -45,9 +48,9 @@ void storeMatrix(AlignedVector<double>& blocks, int slot, const Eigen::Matrix3d&
 Eigen::Matrix4d quaternionForm(const Eigen::Matrix3d& F)
 {
   Eigen::Matrix4d n;
-  n << F.trace(), F(2, 1) - F(1, 2), F(0, 2) - F(2, 0), F(1, 0) - F(0, 1),     //
-      0, F(0, 0) - F(1, 1) - F(2, 2), F(0, 1) + F(1, 0), F(0, 2) + F(2, 0),    //
-      0, 0, F(1, 1) - F(0, 0) - F(2, 2), F(1, 2) + F(2, 1),                    //
+  n << F.trace(), F(2, 1) - F(1, 2), F(0, 2) - F(2, 0), F(1, 0) - F(0, 1),   //
+      0, F(0, 0) - F(1, 1) - F(2, 2), F(0, 1) + F(1, 0), F(0, 2) + F(2, 0),  //
+      0, 0, F(1, 1) - F(0, 0) - F(2, 2), F(1, 2) + F(2, 1),                  //
       0, 0, 0, F(2, 2) - F(0, 0) - F(1, 1);
   return n.selfadjointView<Eigen::Upper>();
 }
@@ -59,7 +62,7 @@ Eigen::Matrix3d polarRotation(const Eigen::Matrix3d& F, const Eigen::Matrix3d& b
   if (margin) *margin = 0;
   if (!(size > 1e-200) || !std::isfinite(size)) return before;
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix4d> eigen(quaternionForm(F / size));
-  const Eigen::Vector4d& values = eigen.eigenvalues();  // ascending: s1+s2+s3 last, then s1-s2-s3
+  const Eigen::Vector4d& values = eigen.eigenvalues();                      // ascending: s1+s2+s3 last, then s1-s2-s3
   if (margin) *margin = (values[3] - values[2]) / (values[3] - values[0]);  // 2 (s2 + s3) over 2 (s1 + s2)
 
   Eigen::Vector4d q = eigen.eigenvectors().col(3);
@@ -82,7 +85,10 @@ Eigen::Matrix3d polarRotation(const Eigen::Matrix3d& F, const Eigen::Matrix3d& b
   return Eigen::Quaterniond(q[0], q[1], q[2], q[3]).normalized().toRotationMatrix();
 }
 
-Eigen::Matrix3d Rotations::matrix(int tet) const { return loadMatrix(matrices, tet); }
+Eigen::Matrix3d Rotations::matrix(int tet) const
+{
+  return loadMatrix(matrices, tet);
+}
 
 Eigen::Matrix<double, 3, 4> Rotations::gradient(int tet) const
 {
@@ -112,7 +118,7 @@ Rotations restRotations(const Model& model)
 }
 
 Turn updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,
-                       Rotations& after, AlignedVector<double>& turned)
+                     Rotations& after, AlignedVector<double>& turned)
 {
   const kernels::Elements elements{model.nodes_per_tet, model.block_nodes.data(), nullptr, nullptr};
   forEachThread(partition, [&](int thread) {

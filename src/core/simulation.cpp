@@ -77,8 +77,8 @@ Surface boundarySurface(const Model& model)
   {
     const auto nodes = model.nodesOf(face);
     const auto& c = FACE_CORNERS[face.opposite];
-    const std::array<std::array<int, 2>, 6> ends{{{c[0], c[0]}, {c[1], c[1]}, {c[2], c[2]}, {c[0], c[1]},
-                                                  {c[0], c[2]}, {c[1], c[2]}}};
+    const std::array<std::array<int, 2>, 6> ends{
+        {{c[0], c[0]}, {c[1], c[1]}, {c[2], c[2]}, {c[0], c[1]}, {c[0], c[2]}, {c[1], c[2]}}};
     std::array<int, 6> points{};
     for (int k = 0; k < (model.quadratic() ? 6 : 3); ++k)
     {
@@ -198,7 +198,8 @@ NodalField initialPositions(const Scene& scene, const Model& model, const TetMes
   for (int i = 0; i < model.num_nodes; ++i)
   {
     if (model.ends[i][0] == model.ends[i][1]) continue;
-    const Eigen::Vector3d middle = (x[model.node_of_corner[model.ends[i][0]]] + x[model.node_of_corner[model.ends[i][1]]]) / 2;
+    const Eigen::Vector3d middle =
+        (x[model.node_of_corner[model.ends[i][0]]] + x[model.node_of_corner[model.ends[i][1]]]) / 2;
     const auto found = listed.find(model.ids[i]);
     // m = (a + 2 x + b)/4
     x[i] = found == listed.end() ? middle : Eigen::Vector3d(2 * found->second - middle);
@@ -219,8 +220,8 @@ AppliedLoad buildLoad(const Scene::Load& load, const Model& model, const RegionS
     const Eigen::Vector3d share = *load.force / static_cast<double>(load.region.nodes->size());
     for (const std::int64_t id : *load.region.nodes)
     {
-      const auto [a, b] = std::minmax(selector.ends(id, load.key + ".nodes").first,
-                                      selector.ends(id, load.key + ".nodes").second);
+      const auto [a, b] =
+          std::minmax(selector.ends(id, load.key + ".nodes").first, selector.ends(id, load.key + ".nodes").second);
       if (a == b)
       {
         result.nodal.emplace_back(model.node_of_corner[a], share);
@@ -301,7 +302,8 @@ void checkHeld(const Model& model, const Supports& supports)
   for (const auto& [r, sum] : normal)
   {
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, 6, 6>> eigen(sum);
-    const int free = static_cast<int>((eigen.eigenvalues().array() <= 1e-9 * std::max(1.0, eigen.eigenvalues()[5])).count());
+    const int free =
+        static_cast<int>((eigen.eigenvalues().array() <= 1e-9 * std::max(1.0, eigen.eigenvalues()[5])).count());
     if (free == 0) continue;
     ++loose;
     if (!first.empty()) continue;
@@ -321,7 +323,8 @@ StepSettings settingsOf(const Scene& scene)
 }
 }  // namespace
 
-Simulation::Simulation(Scene scene, int threads, const Log& log) : scene_(std::move(scene)), settings_(settingsOf(scene_))
+Simulation::Simulation(Scene scene, int threads, const Log& log)
+    : scene_(std::move(scene)), settings_(settingsOf(scene_))
 {
   Placement placement{};
   const TetMesh mesh = loadMesh(scene_.model, log, placement);

@@ -40,7 +40,8 @@ StepReport solveStatic(const Model& model, const StepSettings& settings, const S
     addLoads(model, loads, state.time, state.x, w.load);
     elasticForce(model, w.partition, state.rotations, state.x, w.force);
     w.rhs.matrix() = w.load.matrix() - w.force.matrix().leftCols(model.num_nodes);
-    const Norms out_of_balance = norms(supports, w.rhs, model.num_nodes), applied = norms(supports, w.load, model.num_nodes);
+    const Norms out_of_balance = norms(supports, w.rhs, model.num_nodes),
+                applied = norms(supports, w.load, model.num_nodes);
     const double scale = std::hypot(applied.free, applied.held) + out_of_balance.held;
     report.residual = out_of_balance.free / scale;
     report.finite = std::isfinite(out_of_balance.free);

@@ -35,8 +35,14 @@ void gatherLoads(const Model& model, const StepSettings& settings, const std::ve
 }
 
 /** The first rows of a field that has ghost rows behind them. */
-auto nodes(NodalField& field, const Model& model) { return field.matrix().leftCols(model.num_nodes); }
-auto nodes(const NodalField& field, const Model& model) { return field.matrix().leftCols(model.num_nodes); }
+auto nodes(NodalField& field, const Model& model)
+{
+  return field.matrix().leftCols(model.num_nodes);
+}
+auto nodes(const NodalField& field, const Model& model)
+{
+  return field.matrix().leftCols(model.num_nodes);
+}
 
 /** One lagged step of length h; updates x and v, not the rotations. */
 void laggedStep(const Model& model, const StepSettings& settings, const Supports& supports,
@@ -83,9 +89,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   {
     w.change.setZero();
   }
-  const SolveReport solved =
-      w.solver.solve(model, w.partition, state.rotations, w.rhs, w.change, settings.solver.tolerance,
-                     std::max(1, settings.solver.max_iterations));
+  const SolveReport solved = w.solver.solve(model, w.partition, state.rotations, w.rhs, w.change,
+                                            settings.solver.tolerance, std::max(1, settings.solver.max_iterations));
   report.iterations += solved.iterations;
   report.residual = std::max(report.residual, solved.residual);
   report.converged = report.converged && solved.converged;
@@ -100,20 +105,20 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
 }  // namespace
 
 Workspace::Workspace(const Model& model, int threads)
-  : partition(model, threads)
-  , solver(model, partition)
-  , balance(model.num_nodes)
-  , load(model.num_nodes)
-  , force(partition.rows())
-  , rhs(model.num_nodes)
-  , led(model.num_nodes)
-  , change(model.num_nodes)
-  , last_change(model.num_nodes)
-  , last_but_one_change(model.num_nodes)
-  , x_before(model.num_nodes)
-  , v_before(model.num_nodes)
-  , candidate(restRotations(model))
-  , turned(static_cast<std::size_t>(model.num_blocks) * LANES)
+    : partition(model, threads),
+      solver(model, partition),
+      balance(model.num_nodes),
+      load(model.num_nodes),
+      force(partition.rows()),
+      rhs(model.num_nodes),
+      led(model.num_nodes),
+      change(model.num_nodes),
+      last_change(model.num_nodes),
+      last_but_one_change(model.num_nodes),
+      x_before(model.num_nodes),
+      v_before(model.num_nodes),
+      candidate(restRotations(model)),
+      turned(static_cast<std::size_t>(model.num_blocks) * LANES)
 {
 }
 

@@ -67,7 +67,8 @@ void VtuSeries::writeIndex() const
 {
   std::ostringstream out;
   out.precision(17);
-  out << "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n<Collection>\n";
+  out << "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\" "
+         "byte_order=\"LittleEndian\">\n<Collection>\n";
   for (const auto& [time, file] : files_)
   {
     out << "<DataSet timestep=\"" << time << "\" part=\"0\" file=\"" << file << "\"/>\n";

@@ -125,11 +125,12 @@ public:
   void simulate()
   {
     const double dt = simulation_.scene().time_step;
-    const double wanted = options_.steps >= 0 ? static_cast<double>(options_.steps) : std::ceil(options_.duration / dt - 1e-6);
+    const double wanted =
+        options_.steps >= 0 ? static_cast<double>(options_.steps) : std::ceil(options_.duration / dt - 1e-6);
     if (wanted > static_cast<double>(MOST_STEPS))
     {
-      throw InputError("run_scene: --duration " + toString(options_.duration) + " is more than " + std::to_string(MOST_STEPS) +
-                       " steps of " + toString(dt) + " s");
+      throw InputError("run_scene: --duration " + toString(options_.duration) + " is more than " +
+                       std::to_string(MOST_STEPS) + " steps of " + toString(dt) + " s");
     }
     const long steps = std::lround(wanted);
     writeRow();
@@ -227,7 +228,8 @@ private:
     if (probes_)
     {
       probes_->out() << time;
-      for (const Eigen::Vector3d& p : simulation_.probes()) probes_->out() << ',' << p.x() << ',' << p.y() << ',' << p.z();
+      for (const Eigen::Vector3d& p : simulation_.probes())
+        probes_->out() << ',' << p.x() << ',' << p.y() << ',' << p.z();
       probes_->out() << '\n';
     }
     const Model& model = simulation_.model();
@@ -267,8 +269,12 @@ private:
     j["substepped_steps"] = substepped_;
     j["largest_turn"] = turn_;
     j["threads"] = options_.threads;
-    j["ms_per_step"] = {{"rotation", median(ms_[0])}, {"assembly", median(ms_[1])}, {"force", median(ms_[2])},
-                        {"solve", median(ms_[3])},    {"contact", 0.0},             {"surface", median(ms_[4])},
+    j["ms_per_step"] = {{"rotation", median(ms_[0])},
+                        {"assembly", median(ms_[1])},
+                        {"force", median(ms_[2])},
+                        {"solve", median(ms_[3])},
+                        {"contact", 0.0},
+                        {"surface", median(ms_[4])},
                         {"total", median(ms_[5])}};
     j["iterations"] = median(iterations_);
     j["residual"] = residual_;
@@ -329,7 +335,8 @@ int run(const Options& options)
   Scene scene = loadScene(options.scene, options.overrides);
   for (const Scene::Fixed& fixed : scene.fixed)
   {
-    if (fixed.frame) throw InputError(options.scene + ": " + fixed.key + ".frame: only the ROS node can follow a frame");
+    if (fixed.frame)
+      throw InputError(options.scene + ": " + fixed.key + ".frame: only the ROS node can follow a frame");
   }
   const bool statics = options.statics || scene.integrator == Integrator::STATIC;
   Notes notes;
@@ -362,13 +369,15 @@ int main(int argc, char** argv)
         },
         "");
   };
-  CLI::App app{"Simulates a scene: a deformable body, how it is held and what acts on it. SI units; see doc/scene_file.md."};
+  CLI::App app{
+      "Simulates a scene: a deformable body, how it is held and what acts on it. SI units; see doc/scene_file.md."};
   app.add_option("SCENE", positional, "Scene file, YAML")->required();
   auto* duration = app.add_option("--duration", options.duration, "Simulated time in s (default 1)");
   auto* steps = app.add_option("--steps", options.steps, "Number of time steps, instead of a duration")
                     ->check(wholeNumber(0, MOST_STEPS))
                     ->excludes(duration);
-  app.add_flag("--static", options.statics, "Static equilibrium instead of a simulation; overrides the scene's integrator")
+  app.add_flag("--static", options.statics,
+               "Static equilibrium instead of a simulation; overrides the scene's integrator")
       ->excludes(duration)
       ->excludes(steps);
   app.add_option("--set", options.overrides,

@@ -104,6 +104,9 @@ inline Eigen::Matrix3d randomRotation(std::mt19937& random)
       .toRotationMatrix();
 }
 
-inline const char* name(Element element) { return element == Element::LINEAR ? "linear" : "quadratic"; }
+inline const char* name(Element element)
+{
+  return element == Element::LINEAR ? "linear" : "quadratic";
+}
 
 }  // namespace bezier_fem::test

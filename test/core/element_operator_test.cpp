@@ -72,7 +72,9 @@ MatrixXd denseMass(int nodes, double mass)
     }
     return e;
   };
-  const auto binomial = [](int n, int k) { return std::round(std::tgamma(n + 1) / std::tgamma(k + 1) / std::tgamma(n - k + 1)); };
+  const auto binomial = [](int n, int k) {
+    return std::round(std::tgamma(n + 1) / std::tgamma(k + 1) / std::tgamma(n - k + 1));
+  };
   MatrixXd M = MatrixXd::Zero(3 * nodes, 3 * nodes);
   for (int I = 0; I < nodes; ++I)
   {
@@ -194,7 +196,8 @@ TEST_P(BothElements, EveryInstructionSetAndThreadCountAgrees)
     const kernels::Elements elements{model.nodes_per_tet, model.block_nodes.data(), one.scatter(),
                                      model.block_coefficients.data()};
     NodalField product(model.num_nodes), force(model.num_nodes), force_reference(model.num_nodes);
-    table->add_product(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2, 0.3, u.data(), product.data());
+    table->add_product(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2, 0.3, u.data(),
+                       product.data());
     EXPECT_LT((product.matrix() - expected.matrix()).norm(), 1e-14 * expected.matrix().norm()) << name;
     table->add_force(elements, 0, model.num_blocks, bent.rotations.gradients.data(), bent.x.data(), force.data());
     elasticForce(model, one, bent.rotations, bent.x, force_reference);
@@ -307,7 +310,8 @@ TEST_P(BothElements, ForceIsTheGradientOfTheEnergyWithRotationsHeld)
   forward.matrix() += 1e-3 * direction.matrix();
   back.matrix() -= 1e-3 * direction.matrix();
   // The energy is quadratic: the central difference is exact.
-  const double slope = (elasticEnergy(model, bent.rotations, forward) - elasticEnergy(model, bent.rotations, back)) / 2e-3;
+  const double slope =
+      (elasticEnergy(model, bent.rotations, forward) - elasticEnergy(model, bent.rotations, back)) / 2e-3;
   const double work = force.matrix().cwiseProduct(direction.matrix()).sum();
   EXPECT_NEAR(slope, work, 1e-9 * std::abs(work));
 }

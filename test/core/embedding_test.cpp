@@ -113,7 +113,8 @@ TEST_P(Embedding, DeformationGradientIsTheDerivativeOfPosition)
       Vector4d change;
       change.tail<3>() = h * g.transpose() * Vector3d::Unit(axis);
       change[0] = -change.tail<3>().sum();
-      const Vector3d slope = (position(model, bent, {k, lambda + change}) - position(model, bent, {k, lambda - change})) / (2 * h);
+      const Vector3d slope =
+          (position(model, bent, {k, lambda + change}) - position(model, bent, {k, lambda - change})) / (2 * h);
       EXPECT_LT((slope - F.col(axis)).norm(), 1e-8);
     }
   }

@@ -97,8 +97,10 @@ TEST_P(Recovery, FromMirroredFlatAndCollapsedStates)
     {
       const double plane = at * SIZE[axis];
       const std::string where = std::string(1, "xyz"[axis]) + " = " + std::to_string(plane);
-      states.emplace_back("mirrored at " + where, [=](const Vector3d& X) { return Vector3d(X - 2 * (X[axis] - plane) * e); });
-      states.emplace_back("flattened to " + where, [=](const Vector3d& X) { return Vector3d(X - (X[axis] - plane) * e); });
+      states.emplace_back("mirrored at " + where,
+                          [=](const Vector3d& X) { return Vector3d(X - 2 * (X[axis] - plane) * e); });
+      states.emplace_back("flattened to " + where,
+                          [=](const Vector3d& X) { return Vector3d(X - (X[axis] - plane) * e); });
     }
   }
   states.emplace_back("mirrored at the origin", [](const Vector3d& X) { return Vector3d(-X); });

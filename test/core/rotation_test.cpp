@@ -31,7 +31,10 @@ Matrix3d randomMatrix(std::mt19937& random)
   return Matrix3d::NullaryExpr([&]() { return normal(random); });
 }
 
-bool isRotation(const Matrix3d& R) { return (R.transpose() * R - Matrix3d::Identity()).norm() < 1e-12 && R.determinant() > 0; }
+bool isRotation(const Matrix3d& R)
+{
+  return (R.transpose() * R - Matrix3d::Identity()).norm() < 1e-12 && R.determinant() > 0;
+}
 
 TEST(PolarRotation, IsTheSingularValueDecompositionsForAnyMatrix)
 {

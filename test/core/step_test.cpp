@@ -68,8 +68,14 @@ Supports hold(const Model& model, const Inside& inside, std::vector<MotionSample
   return supports;
 }
 
-Supports holdFoot(const Model& model) { return hold(model, [](const Vector3d& X) { return X.z() < 1e-9; }); }
-Supports holdNothing(const Model& model) { return hold(model, [](const Vector3d&) { return false; }); }
+Supports holdFoot(const Model& model)
+{
+  return hold(model, [](const Vector3d& X) { return X.z() < 1e-9; });
+}
+Supports holdNothing(const Model& model)
+{
+  return hold(model, [](const Vector3d&) { return false; });
+}
 
 Vector3d momentum(const Model& model, const NodalField& v)
 {
@@ -232,14 +238,15 @@ TEST_P(Stepping, ALedRegionIsWhereItsMotionSays)
   s.gravity.setZero();
   const double half = std::sqrt(0.5);
   const std::vector<MotionSample> motion{{0, {0, 0, 0}, {0, 0, 0, 1}}, {1, {0.1, 0.2, 0}, {0, 0, half, half}}};
-  const Supports supports = hold(model, [](const Vector3d& X) { return X.z() < 1e-9; }, motion);
+  const Supports supports = hold(
+      model, [](const Vector3d& X) { return X.z() < 1e-9; }, motion);
   State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
   for (int k = 1; k <= 60; ++k)
   {
     implicitEulerStep(model, s, supports, {}, no_force, state, workspace);
     const double part = std::min(1.0, k * DT);
-    const Eigen::Isometry3d pose = Eigen::Translation3d(part * Vector3d(0.1, 0.2, 0)) *
-                                   Eigen::AngleAxisd(part * M_PI / 2, Vector3d::UnitZ());
+    const Eigen::Isometry3d pose =
+        Eigen::Translation3d(part * Vector3d(0.1, 0.2, 0)) * Eigen::AngleAxisd(part * M_PI / 2, Vector3d::UnitZ());
     for (const int i : supports.regions[0].nodes)
     {
       ASSERT_LT((state.x[i] - pose * Vector3d(model.rest[i])).norm(), 1e-12) << "step " << k;
@@ -301,7 +308,8 @@ TEST_P(Stepping, AllocatesNothingAfterTheFirstStep)
   allocations = 0;
   counting = true;
   int substeps = 0;
-  for (int k = 0; k < 20; ++k) substeps += implicitEulerStep(model, s, supports, loads, no_force, state, workspace).substeps;
+  for (int k = 0; k < 20; ++k)
+    substeps += implicitEulerStep(model, s, supports, loads, no_force, state, workspace).substeps;
   counting = false;
   EXPECT_EQ(allocations, 0);
   EXPECT_GE(substeps, 20);
@@ -355,7 +363,8 @@ TEST(ConjugateGradients, SolveAndTellTheTruth)
     systemProduct(model, partition, rotations, 1, 4e-4, u, product);
     NodalField residual = b;
     residual.matrix() -= product.matrix();
-    EXPECT_NEAR(solver.norm(partition, residual) / solver.norm(partition, b), report.residual, 1e-3 * report.residual + 1e-15);
+    EXPECT_NEAR(solver.norm(partition, residual) / solver.norm(partition, b), report.residual,
+                1e-3 * report.residual + 1e-15);
     EXPECT_LT(report.residual, last);
     last = report.residual;
   }
