@@ -219,44 +219,44 @@ inline void addMass(const Vec3* u, Vec mass, Vec3* f)
   }
 }
 
-template <int NODES>
-void addProduct(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
-                const double* u, double* y)
+/** Gathers an element's nodes, makes `out` from `in`, and scatters it. */
+template <int NODES, class Element>
+inline void forEachElement(const Elements& elements, int begin, int end, const double* rotated, const double* x,
+                           double* y, const Element& element)
 {
   for (int block = begin; block < end; ++block)
   {
     for (int part = 0; part < LANES; part += WIDTH)
     {
-      const int* from = elements.gather + static_cast<long>(block) * NODES * LANES + part;
-      const int* to = elements.scatter + static_cast<long>(block) * NODES * LANES + part;
+      const long at = static_cast<long>(block) * NODES * LANES + part;
       const double* c = elements.coefficients + 3L * block * LANES + part;
       Vec3 in[NODES], out[NODES];
-      for (int k = 0; k < NODES; ++k) in[k] = gather(u, from + static_cast<long>(k) * LANES);
-      const RotatedGradients g = loadGradients(rotated + 9L * block * LANES + part);
-      elasticForce<NODES>(g, in, 0, beta * load(c), beta * load(c + LANES), out);
-      addMass<NODES>(in, alpha * load(c + 2L * LANES), out);
-      for (int k = 0; k < NODES; ++k) scatterAdd(y, to + static_cast<long>(k) * LANES, out[k]);
+      for (int k = 0; k < NODES; ++k) in[k] = gather(x, elements.gather + at + static_cast<long>(k) * LANES);
+      element(loadGradients(rotated + 9L * block * LANES + part), in, load(c), load(c + LANES), load(c + 2L * LANES),
+              out);
+      for (int k = 0; k < NODES; ++k) scatterAdd(y, elements.scatter + at + static_cast<long>(k) * LANES, out[k]);
     }
   }
 }
 
 template <int NODES>
+void addProduct(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
+                const double* u, double* y)
+{
+  forEachElement<NODES>(elements, begin, end, rotated, u, y,
+                        [&](const RotatedGradients& g, const Vec3* in, Vec lambda, Vec mu, Vec mass, Vec3* out) {
+                          elasticForce<NODES>(g, in, 0, beta * lambda, beta * mu, out);
+                          addMass<NODES>(in, alpha * mass, out);
+                        });
+}
+
+template <int NODES>
 void addForce(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y)
 {
-  for (int block = begin; block < end; ++block)
-  {
-    for (int part = 0; part < LANES; part += WIDTH)
-    {
-      const int* from = elements.gather + static_cast<long>(block) * NODES * LANES + part;
-      const int* to = elements.scatter + static_cast<long>(block) * NODES * LANES + part;
-      const double* c = elements.coefficients + 3L * block * LANES + part;
-      Vec3 in[NODES], out[NODES];
-      for (int k = 0; k < NODES; ++k) in[k] = gather(x, from + static_cast<long>(k) * LANES);
-      const RotatedGradients g = loadGradients(rotated + 9L * block * LANES + part);
-      elasticForce<NODES>(g, in, 1, load(c), load(c + LANES), out);
-      for (int k = 0; k < NODES; ++k) scatterAdd(y, to + static_cast<long>(k) * LANES, out[k]);
-    }
-  }
+  forEachElement<NODES>(elements, begin, end, rotated, x, y,
+                        [](const RotatedGradients& g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec3* out) {
+                          elasticForce<NODES>(g, in, 1, lambda, mu, out);
+                        });
 }
 
 /** H_cd + H_dc over V, with H_cd = lambda c d^T + mu d c^T + mu (c.d) 1; H_cc + H_cc = 2 H_cc for c = d. */
