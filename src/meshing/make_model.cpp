@@ -34,6 +34,7 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
+#include <climits>
 #include <cmath>
 #include <cstdarg>
 #include <cstdio>
@@ -390,9 +391,10 @@ constexpr double FACET_DISTANCE = 0.2;   // times the cell size: between its cir
 constexpr double FACET_ANGLE = 25;       // degrees, the smallest in a boundary triangle
 constexpr double RADIUS_EDGE_RATIO = 2;  // circumradius / shortest edge of a tetrahedron
 constexpr double SLIVER = 12;            // degrees: dihedral angles below are improved; 20 takes ten times as long
+constexpr double GOOD_DIHEDRAL = 10;     // degrees: with that, no other mesh is looked for
 constexpr double SHARP_EDGE = 60;        // degrees between the normals of the two triangles
 constexpr int SHARP_WORTH = 2;           // sharp edges are kept if that at most doubles the number of elements ...
-constexpr double SHARP_DIHEDRAL = 10;    // ... and leaves no smaller angle [degrees]
+constexpr double SHARP_DIHEDRAL = 8;     // ... and leaves no smaller angle [degrees]
 constexpr int SHARP_ALONE = 1000000;     // elements, where there is no mesh without them to compare with
 constexpr double MOST_ELEMENTS = 5e6;    // some GB and hours
 constexpr double NOTABLE_VOLUME = 5;     // per cent more or less than the surface's: worth a warning
@@ -478,11 +480,15 @@ public:
     {
       seed_spacing_ = spacing * cell_size_;
       auto result = refine();
+      if (reached_limit_) return nullptr;
       if (result && keepsPieces(result->topology)) return result;
       if (!first) first = std::move(result);
     }
     return first;
   }
+
+  /** Whether refined() gave up because of `most_nodes`. */
+  bool reachedLimit() const { return reached_limit_; }
 
   bool keepsPieces(const Topology& topology) const
   {
@@ -511,7 +517,7 @@ public:
   }
 
 private:
-  std::unique_ptr<Refined> refine() const
+  std::unique_ptr<Refined> refine()
   {
     namespace P = CGAL::parameters;
     CGAL::get_default_random() = CGAL::Random(0);
@@ -529,7 +535,8 @@ private:
     CGAL::refine_mesh_3(
         complex, domain_, criteria, P::no_reset_c3t3(), P::no_perturb(), P::no_exude(), manifold,
         P::mesh_3_options(P::maximal_number_of_vertices = most_nodes_, P::pointer_to_error_code = &error));
-    if (error != CGAL::CGAL_MESH_3_NO_ERROR || complex.number_of_cells_in_complex() == 0) return nullptr;
+    reached_limit_ = error == CGAL::CGAL_MESH_3_MAXIMAL_NUMBER_OF_VERTICES_REACHED;
+    if (reached_limit_ || complex.number_of_cells_in_complex() == 0) return nullptr;
     result->topology = findTopology(extract(complex));
     return result->topology.non_manifold == 0 ? std::move(result) : nullptr;
   }
@@ -556,6 +563,7 @@ private:
   const bool keep_sharp_;
   std::size_t most_nodes_ = 0;
   double seed_spacing_ = 0;  // m
+  bool reached_limit_ = false;
   CGAL::Random random_;
   Domain domain_;
 };
@@ -636,29 +644,57 @@ void checkAgainst(const Options& options, const Solid& solid, const std::optiona
               model->quality.mean_edge));
 }
 
+/** What a mesh with sharp edges must be better than: one without. */
+struct Yardstick
+{
+  std::size_t most_elements = 0;  // 0: no limit
+  int most_euler_off = INT_MAX;   // from the surface's, see Topology
+};
+
+int eulerOff(const Solid& solid, const Topology& topology)
+{
+  return std::abs(topology.euler - solid.euler);
+}
+
+/** Where an element stays flat, a slightly smaller cell size leads to another mesh; the best of three is taken. */
+std::optional<Model> bestMesh(const Solid& solid, double cell_size, bool keep_sharp, const Yardstick& limit)
+{
+  std::optional<Model> best;
+  std::pair<bool, double> best_score(false, -1);
+  for (const double factor : {1., 0.97, 0.94})
+  {
+    Mesher mesher(solid, factor * cell_size, keep_sharp);
+    auto refined = mesher.refined(limit.most_elements / 2);  // with more nodes it has more elements
+    if (mesher.reachedLimit()) break;
+    if (!refined || eulerOff(solid, refined->topology) > limit.most_euler_off) continue;
+    if (limit.most_elements > 0 && refined->complex.number_of_cells_in_complex() > limit.most_elements) break;
+    std::optional<Model> model = mesher.withoutSlivers(std::move(refined));
+    if (!model) continue;
+    const std::pair<bool, double> score(mesher.keepsPieces(model->topology), model->quality.smallest_dihedral);
+    if (score > best_score) best = std::move(model);
+    best_score = std::max(best_score, score);
+    if (best_score.first && best_score.second >= GOOD_DIHEDRAL) break;
+  }
+  return best;
+}
+
 Model meshSolid(const Options& options, const Solid& solid, Remarks& remarks, const Progress& progress)
 {
   const double h = options.cell_size;
   refuseTooFine(options, solid);
-  progress.show("meshing ...");
-  Mesher rounding(solid, h, false);
-  auto rounded = rounding.refined(0);
   std::optional<Model> model;
   if (hasSharpEdges(solid.surface))
   {
-    progress.show("keeping sharp edges ...");
-    Mesher keeping(solid, h, true);
-    const auto elements = [](const auto& r) { return r->complex.number_of_cells_in_complex(); };
-    const auto handlesOff = [&](const auto& r) { return std::abs(r->topology.euler - solid.euler); };
-    const std::size_t affordable = rounded ? SHARP_WORTH * elements(rounded) : SHARP_ALONE;
-    auto kept = keeping.refined(affordable);  // there are fewer nodes than elements
-    if (kept && elements(kept) <= affordable && keeping.keepsPieces(kept->topology) &&
-        (!rounded || handlesOff(kept) <= handlesOff(rounded)))
-      model = keeping.withoutSlivers(std::move(kept));
-    if (model && model->quality.smallest_dihedral < SHARP_DIHEDRAL) model.reset();
+    progress.show("meshing with sharp edges ...");
+    Yardstick limit{SHARP_ALONE, INT_MAX};
+    if (const auto rounded = Mesher(solid, h, false).refined(0))
+      limit = {SHARP_WORTH * rounded->complex.number_of_cells_in_complex(), eulerOff(solid, rounded->topology)};
+    model = bestMesh(solid, h, true, limit);
+    if (model && (model->topology.bodies != solid.bodies || model->quality.smallest_dihedral < SHARP_DIHEDRAL))
+      model.reset();
   }
-  progress.show("removing slivers ...");
-  if (!model && rounded) model = rounding.withoutSlivers(std::move(rounded));
+  progress.show("meshing ...");
+  if (!model) model = bestMesh(solid, h, false, {});
   progress.show("fitting the volume ...");
   if (model) fitTo(solid, h, *model);
   checkAgainst(options, solid, model, remarks);
