@@ -25,25 +25,59 @@ Norms norms(const Supports& supports, const NodalField& f, int num_nodes)
   }
   return {std::sqrt(free), std::sqrt(held)};
 }
+/** The forces out of balance, f_ext - f_el, at positions x with the rotations of x; N. */
+class Balance
+{
+public:
+  Balance(const Model& model, const StepSettings& settings, const std::vector<AppliedLoad>& loads,
+          const NodalField& external, double time, Workspace& workspace)
+      : model_(model), settings_(settings), loads_(loads), external_(external), time_(time), w_(workspace)
+  {
+  }
+
+  /** Leaves the loads in Workspace::load and the forces out of balance in Workspace::rhs. */
+  void evaluate(const NodalField& x, const Rotations& rotations)
+  {
+    w_.load.matrix() = external_.matrix();
+    for (int i = 0; i < model_.num_nodes; ++i) w_.load[i] += model_.node_mass[i] * settings_.gravity;
+    addLoads(model_, loads_, time_, x, w_.load);
+    elasticForce(model_, w_.partition, rotations, x, w_.force);
+    w_.rhs.matrix() = w_.load.matrix() - w_.force.matrix().leftCols(model_.num_nodes);
+  }
+
+  /** The work of the forces out of balance on `direction`, which is zero where the body is held. */
+  double work(const NodalField& direction) const { return w_.rhs.matrix().cwiseProduct(direction.matrix()).sum(); }
+
+private:
+  const Model& model_;
+  const StepSettings& settings_;
+  const std::vector<AppliedLoad>& loads_;
+  const NodalField& external_;
+  double time_;
+  Workspace& w_;
+};
+
 }  // namespace
 
 StepReport solveStatic(const Model& model, const StepSettings& settings, const Supports& supports,
                        const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w,
                        const std::function<void(int, double)>& progress)
 {
+  constexpr int MAX_ROUNDS = 300, MAX_TRIALS = 10;
+  // Linear: one system, so its residual has to be small enough at once. Co-rotated: K' is not the derivative of the
+  // force, so a round gains two digits at best.
+  const bool linear = settings.elasticity == Elasticity::LINEAR;
+  const double round_tolerance = linear ? 0.01 * settings.solver.tolerance : 0.01;
+
   StepReport report;
-  constexpr int MAX_ROUNDS = 200;
+  Balance balance(model, settings, loads, external, state.time, w);
+  balance.evaluate(state.x, state.rotations);
   for (int round = 0;; ++round)
   {
-    w.load.matrix() = external.matrix();
-    for (int i = 0; i < model.num_nodes; ++i) w.load[i] += model.node_mass[i] * settings.gravity;
-    addLoads(model, loads, state.time, state.x, w.load);
-    elasticForce(model, w.partition, state.rotations, state.x, w.force);
-    w.rhs.matrix() = w.load.matrix() - w.force.matrix().leftCols(model.num_nodes);
-    const Norms out_of_balance = norms(supports, w.rhs, model.num_nodes),
-                applied = norms(supports, w.load, model.num_nodes);
+    const Norms out_of_balance = norms(supports, w.rhs, model.num_nodes);
+    const Norms applied = norms(supports, w.load, model.num_nodes);
     const double scale = std::hypot(applied.free, applied.held) + out_of_balance.held;
-    report.residual = out_of_balance.free / scale;
+    report.residual = scale > 0 ? out_of_balance.free / scale : 0;
     report.finite = std::isfinite(out_of_balance.free);
     report.converged = report.residual <= settings.solver.tolerance;
     if (progress) progress(round, report.residual);
@@ -51,15 +85,41 @@ StepReport solveStatic(const Model& model, const StepSettings& settings, const S
 
     w.solver.prepare(model, w.partition, state.rotations, supports.held, 0, 1, 0);
     w.change.setZero();
-    const SolveReport solved = w.solver.solve(model, w.partition, state.rotations, w.rhs, w.change,
-                                              0.01 * settings.solver.tolerance, 100 * settings.solver.max_iterations);
+    const SolveReport solved = w.solver.solve(model, w.partition, state.rotations, w.rhs, w.change, round_tolerance,
+                                              100 * settings.solver.max_iterations);
     report.iterations += solved.iterations;
-    state.x.matrix() += w.change.matrix();
-    if (settings.elasticity == Elasticity::COROTATED)
+
+    // As far along the change as the forces out of balance go on doing work (Matthies and Strang 1979): the whole
+    // change turns a soft body's elements so far that the next change would undo it.
+    w.x_before.matrix() = state.x.matrix();
+    const double slope = balance.work(w.change);
+    double low = 0, low_work = slope, high = 0, high_work = 0, length = 1;
+    for (int trial = 0; trial < MAX_TRIALS; ++trial)
     {
+      state.x.matrix() = w.x_before.matrix() + length * w.change.matrix();
+      if (linear)
+      {
+        balance.evaluate(state.x, state.rotations);
+        break;
+      }
       updateRotations(model, w.partition, state.x, state.rotations, w.candidate, w.turned);
-      std::swap(state.rotations, w.candidate);
+      balance.evaluate(state.x, w.candidate);
+      const double work = balance.work(w.change);
+      if (std::abs(work) <= 0.3 * slope) break;
+      if (work > 0)
+      {
+        low = length;
+        low_work = work;
+      }
+      else
+      {
+        high = length;
+        high_work = work;
+      }
+      const double cut = high > 0 ? std::clamp(low_work / (low_work - high_work), 0.1, 0.9) : 0;
+      length = high > 0 ? low + cut * (high - low) : 2 * length;
     }
+    if (!linear) std::swap(state.rotations, w.candidate);
   }
   w.balance.matrix() = -w.rhs.matrix();
   state.v.setZero();

@@ -410,6 +410,34 @@ TEST(StaticEquilibrium, ABarInTensionHasItsClosedForm)
   }
 }
 
+TEST(StaticEquilibrium, IsFoundForSoftBodiesToo)
+{
+  // Ever more of the bar hangs; the last one is as soft as to stretch to twice its length.
+  for (const Element element : {Element::LINEAR, Element::QUADRATIC})
+  {
+    double last = 0;
+    for (const double young : {2e5, 5e4, 1e4, 2e3})
+    {
+      const Model model = test::boxModel(test::kuhnBox({2, 2, 5}, {0.4, 0.4, 1.0}), element, {young, 0.34, 500});
+      Workspace workspace(model, 1);
+      StepSettings s = settings();
+      s.solver.tolerance = 1e-6;
+      const Supports supports = holdFoot(model);
+      const NodalField no_force(model.num_nodes);
+      State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
+      const StepReport report = solveStatic(model, s, supports, {}, no_force, state, workspace, {});
+      EXPECT_TRUE(report.converged) << test::name(element) << " E = " << young;
+      const double lowest = state.x.matrix().row(1).minCoeff();
+      EXPECT_LT(lowest, last);
+      last = lowest;
+      // It is an equilibrium of the stepper as well.
+      const NodalField before = state.x;
+      implicitEulerStep(model, s, supports, {}, no_force, state, workspace);
+      EXPECT_LT((state.x.matrix() - before.matrix()).cwiseAbs().maxCoeff(), 1e-5);
+    }
+  }
+}
+
 TEST(Loads, PressureOnAClosedSurfaceHasNoResultantAndDoesTheWorkOfAVolume)
 {
   for (const Element element : {Element::LINEAR, Element::QUADRATIC})
