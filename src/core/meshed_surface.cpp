@@ -155,6 +155,7 @@ Finished runProgram(const std::string& program, std::vector<std::string> argumen
     theirs[i].reset(ends[1]);
   }
   std::vector<char*> argv;
+  argv.reserve(arguments.size() + 2);
   arguments.insert(arguments.begin(), program);
   for (std::string& argument : arguments) argv.push_back(argument.data());
   argv.push_back(nullptr);

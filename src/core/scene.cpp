@@ -296,7 +296,7 @@ Names with(const Names& selectors, std::initializer_list<const char*> others)
 Region::Box readBox(const Value& value)
 {
   const Map map(value, {"min", "max"});
-  const Region::Box box{readVector(map.require("min", "[x, y, z]")), readVector(map.require("max", "[x, y, z]"))};
+  Region::Box box{readVector(map.require("min", "[x, y, z]")), readVector(map.require("max", "[x, y, z]"))};
   for (int i = 0; i < 3; ++i)
     if (box.min[i] > box.max[i])
       value.error(std::string("has min above max in ") + "xyz"[i] + ": " + describe(value.node) +
