@@ -74,18 +74,32 @@ void DeformableNode::run()
   result_.stamp = stateStamp();
   while (ros::ok())
   {
-    now_ = ros::Time::now();
-    runJobs();
-    applySettings();
-    inputs_.collect();
-    followFrames();
-    const bool step = prepareStep();
-    if (step) makeStep();
-    publishWhenDue();
-    diagnostics_.update();
-    wait(step);
+    bool stepped = false;
+    try
+    {
+      stepped = cycle();
+    }
+    catch (const std::exception& error)  // nothing known throws here, but a node that dies tells nobody why
+    {
+      lose(error.what());
+    }
+    wait(stepped);
   }
   answerSteps(false, "the node shuts down");
+}
+
+bool DeformableNode::cycle()
+{
+  now_ = ros::Time::now();
+  runJobs();
+  applySettings();
+  inputs_.collect();
+  followFrames();
+  const bool step = prepareStep();
+  if (step) makeStep();
+  publishWhenDue();
+  diagnostics_.update();
+  return step;
 }
 
 // Service calls -----------------------------------------------------------------------------------------------------
@@ -270,14 +284,14 @@ bool DeformableNode::prepareLockstep()
   const ros::Duration step(time_step_), rounding(1e-3 * time_step_);
   if (const auto first = inputs_.waiting(); first && !first->isZero())
   {
-    if (origin_.isZero()) origin_ = *first - ros::Duration(std::min(simulation_.time(), first->toSec()));
-    const double gap = (*first - stateStamp()).toSec();
-    if (gap > LARGEST_GAP)
+    const double gap = first->toSec() - stateStamp().toSec();
+    if (gap > LARGEST_GAP && !origin_.isZero())
     {
       ROS_WARN("Skipped %g s: inputs stamped so far apart are not joined by steps", gap);
       skipped_ += gap;
-      origin_ += ros::Duration(gap);
     }
+    if (gap > LARGEST_GAP || origin_.isZero())
+      origin_ = *first - ros::Duration(std::min(simulation_.time(), first->toSec()));
   }
   const ros::Time next = stateStamp() + step - rounding;
   inputs_.accept(stateStamp().toSec(), next);
@@ -291,16 +305,8 @@ bool DeformableNode::prepareLockstep()
 
 void DeformableNode::makeStep()
 {
-  try
-  {
-    inputs_.apply(mode_ == Mode::LOCKSTEP ? stateStamp().toSec() : now_.toSec(), simulation_.externalForces());
-    result_.report = simulation_.step();
-  }
-  catch (const std::exception& error)
-  {
-    lose(error.what());
-    return;
-  }
+  inputs_.apply(mode_ == Mode::LOCKSTEP ? stateStamp().toSec() : now_.toSec(), simulation_.externalForces());
+  result_.report = simulation_.step();
   ++steps_made_;
   const StepReport& report = result_.report;
   ++period_.steps;

@@ -69,6 +69,7 @@ private:
   void wake();
 
   // In the loop
+  bool cycle();  // true if it made a step
   void runJobs();
   void applySettings();
   bool prepareStep();

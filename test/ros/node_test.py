@@ -111,7 +111,8 @@ class NodeTest(unittest.TestCase):
         first = self.body.state.wait('step', lambda s: s.step > 0)
         last = self.body.state.wait('state 1 s later', lambda s: s.time > first.time + 1)
         elapsed = (last.header.stamp - first.header.stamp).to_sec()
-        self.assertAlmostEqual(elapsed, last.time - first.time, delta=0.1)
+        self.assertLess(last.time - first.time, elapsed + 0.03)
+        self.assertGreater(last.time - first.time, 0.6 * elapsed)  # a busy machine may make it drop some
 
     def test_stands_still_when_paused(self):
         self.body.pause(False)
