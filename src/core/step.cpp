@@ -65,7 +65,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   watch.lap(report.ms.force);
 
   const double alpha = 1 + h * damp_m, beta = h * (h + damp_k);
-  w.solver.prepare(model, w.partition, state.rotations, supports.held, alpha, beta, 1e-3 * h);
+  const MatrixFreeSystem<Rotations> system(model, w.partition, state.rotations, alpha, beta);
+  w.solver.prepare(system, model, w.partition, supports.held, 1e-3 * h);
   watch.lap(report.ms.assembly);
 
   // Led components: the dv that takes them to where they have to be.
@@ -77,7 +78,7 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   const bool led = !(w.led.matrix().array() == 0).all();
   if (led)
   {
-    systemProduct(model, w.partition, state.rotations, alpha, beta, w.led, w.force);
+    system.product(w.led, w.force);
     w.rhs.matrix() -= nodes(w.force, model);
   }
 
@@ -89,8 +90,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   {
     w.change.setZero();
   }
-  const SolveReport solved = w.solver.solve(model, w.partition, state.rotations, w.rhs, w.change,
-                                            settings.solver.tolerance, std::max(1, settings.solver.max_iterations));
+  const SolveReport solved = w.solver.solve(system, w.partition, w.rhs, w.change, settings.solver.tolerance,
+                                            std::max(1, settings.solver.max_iterations));
   report.iterations += solved.iterations;
   report.residual = std::max(report.residual, solved.residual);
   report.converged = report.converged && solved.converged;

@@ -352,12 +352,13 @@ TEST(ConjugateGradients, SolveAndTellTheTruth)
   const Rotations rotations = restRotations(model);
   const NodalField b = test::randomField(model.num_nodes, 4);
   ConjugateGradient solver(model, partition);
-  solver.prepare(model, partition, rotations, supports.held, 1, 4e-4, 0);
+  const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
+  solver.prepare(system, model, partition, supports.held, 0);
   double last = 1e300;
   for (const double tolerance : {1e-2, 1e-4, 1e-8, 1e-12})
   {
     NodalField u(model.num_nodes), product(partition.rows());
-    const SolveReport report = solver.solve(model, partition, rotations, b, u, tolerance, 10000);
+    const SolveReport report = solver.solve(system, partition, b, u, tolerance, 10000);
     EXPECT_TRUE(report.converged);
     EXPECT_LE(report.residual, tolerance);
     systemProduct(model, partition, rotations, 1, 4e-4, u, product);
@@ -369,7 +370,7 @@ TEST(ConjugateGradients, SolveAndTellTheTruth)
     last = report.residual;
   }
   NodalField u(model.num_nodes);
-  const SolveReport cut = solver.solve(model, partition, rotations, b, u, 1e-12, 3);
+  const SolveReport cut = solver.solve(system, partition, b, u, 1e-12, 3);
   EXPECT_FALSE(cut.converged);
   EXPECT_EQ(cut.iterations, 3);
   EXPECT_GT(cut.residual, 1e-12);
