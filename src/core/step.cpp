@@ -103,9 +103,15 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   report.finite = state.x.matrix().allFinite();
   watch.lap(report.ms.solve);
 }
+
+Rotations startRotations(const Model& model, const StepSettings& settings)
+{
+  return restRotations(model,
+                       settings.elasticity == Elasticity::COROTATED ? settings.rotation : RotationRule::FROM_CORNERS);
+}
 }  // namespace
 
-Workspace::Workspace(const Model& model, int threads)
+Workspace::Workspace(const Model& model, const StepSettings& settings, int threads)
     : partition(model, threads),
       solver(model, partition),
       balance(model.num_nodes),
@@ -118,8 +124,8 @@ Workspace::Workspace(const Model& model, int threads)
       last_but_one_change(model.num_nodes),
       x_before(model.num_nodes),
       v_before(model.num_nodes),
-      candidate(restRotations(model)),
-      turned(static_cast<std::size_t>(model.num_blocks) * LANES)
+      candidate(startRotations(model, settings)),
+      turned(candidate.flags.size())
 {
 }
 
@@ -193,7 +199,7 @@ State startState(const Model& model, const StepSettings& settings, const Support
       if (!(supports.held[i] >> axis & 1)) state.v[i][axis] = velocity[axis];
     }
   }
-  state.rotations = restRotations(model);
+  state.rotations = startRotations(model, settings);
   if (settings.elasticity == Elasticity::COROTATED)
   {
     const Rotations rest = state.rotations;
