@@ -539,8 +539,15 @@ void addDiagonalAny(const Elements& elements, int begin, int end, const double* 
   (elements.nodes_per_tet == 4 ? addDiagonal<4> : addDiagonal<10>)(elements, begin, end, rotated, alpha, beta, d);
 }
 }  // namespace
+}  // namespace bezier_fem::kernels
 
+#include "kernels_assembly_impl.h"
+
+namespace bezier_fem::kernels
+{
 extern const Table TABLE;
-const Table TABLE = {TABLE_NAME, updateRotations, addProductAny, addForceAny, addDiagonalAny, dot, advance, redirect};
+const Table TABLE = {TABLE_NAME,         updateRotations, addProductAny,  addForceAny,   addDiagonalAny,
+                     elementMatricesAny, warpedMatricesAny, addBySearchAny, addBySlotsAny, gatherBlocks,
+                     gradientProductsAny, fuseBlocksAny, blockProduct, dot, advance, redirect};
 
 }  // namespace bezier_fem::kernels
