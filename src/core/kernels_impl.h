@@ -656,9 +656,28 @@ void addDiagonalAny(const Elements& elements, int begin, int end, const double* 
   add(elements, begin, end, rotated, alpha, beta, d);
 }
 }  // namespace
+}  // namespace bezier_fem::kernels
 
+#include "kernels_assembly_impl.h"
+
+namespace bezier_fem::kernels
+{
 extern const Table TABLE;
-const Table TABLE = {TABLE_NAME, updateRotationsAny, addProductAny, addForceAny, addDiagonalAny, dot, advance,
+const Table TABLE = {TABLE_NAME,
+                     updateRotationsAny,
+                     addProductAny,
+                     addForceAny,
+                     addDiagonalAny,
+                     elementMatricesAny,
+                     warpedMatricesAny,
+                     addBySearchAny,
+                     addBySlotsAny,
+                     gatherBlocks,
+                     gradientProductsAny,
+                     fuseBlocksAny,
+                     blockProduct,
+                     dot,
+                     advance,
                      redirect};
 
 }  // namespace bezier_fem::kernels
