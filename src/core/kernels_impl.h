@@ -522,6 +522,8 @@ void redirect(int begin, int end, double b, const double* z, double* p)
   for (int i = begin; i < end; ++i) *reinterpret_cast<Node*>(p + 4L * i) = loadNode(z, i) + b * loadNode(p, i);
 }
 
+#include "kernels_green_impl.h"
+
 void addProductAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                    const double* u, double* y)
 {
@@ -541,6 +543,16 @@ void addDiagonalAny(const Elements& elements, int begin, int end, const double* 
 }  // namespace
 
 extern const Table TABLE;
-const Table TABLE = {TABLE_NAME, updateRotations, addProductAny, addForceAny, addDiagonalAny, dot, advance, redirect};
+const Table TABLE = {
+    TABLE_NAME,
+    updateRotations,
+    addProductAny,
+    addForceAny,
+    addDiagonalAny,
+    dot,
+    advance,
+    redirect,
+    {greenEnergy<4>, addGreenForce<4>, lineariseGreen<4>, addGreenProduct<4>, addGreenDiagonal<4>},
+    {greenEnergy<10>, addGreenForce<10>, lineariseGreen<10>, addGreenProduct<10>, addGreenDiagonal<10>}};
 
 }  // namespace bezier_fem::kernels
