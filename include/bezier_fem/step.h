@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <functional>
+#include <memory>
 #include <vector>
 
 #include "bezier_fem/boundary_conditions.h"
@@ -14,6 +15,9 @@
 
 namespace bezier_fem
 {
+class SpectralBound;
+struct GreenTangent;
+
 /** Everything about a body that changes in time. Positions and velocities of control points, not of material points. */
 struct State
 {
@@ -29,6 +33,7 @@ struct StepSettings
 {
   double time_step;  // s
   Elasticity elasticity;
+  RotationRule rotation;
   Scene::Damping damping;
   Eigen::Vector3d gravity;  // m/s^2
   Scene::Solver solver;
@@ -48,7 +53,7 @@ struct StepReport
 {
   int substeps = 1;       // 1: exactly one lagged step
   double turn = 0;        // rad: the largest angle that an element turned by in an accepted (sub-)step
-  int inverted = 0;       // elements that end with det F <= 0 of their corners (co-rotated elasticity only)
+  int inverted = 0;       // elements that end with det F <= 0 where a rotation is taken (co-rotated elasticity only)
   int iterations = 0;     // of the linear solver, in all
   double residual = 0;    // worst (sub-)step, relative, as the tolerance measures it
   bool converged = true;  // every residual within the tolerance
@@ -59,10 +64,14 @@ struct StepReport
 /** Scratch memory of the steps of one body, and what they remember of each other to start from. */
 struct Workspace
 {
-  Workspace(const Model& model, int threads);
+  Workspace(const Model& model, const StepSettings& settings, int threads);
+
+  ~Workspace();
 
   /** To be called when the state was not made by the last step. */
   void forgetHistory() { history = 0; }
+  /** To be called after setMaterials(). */
+  void forgetMaterials() { bound.reset(); }
 
   Partition partition;
   ConjugateGradient solver;
@@ -71,7 +80,9 @@ struct Workspace
   NodalField load, force, rhs, led, change, last_change, last_but_one_change, x_before, v_before;
   Rotations candidate;
   AlignedVector<double> turned;
-  int history = 0;  // how many of last_change, last_but_one_change hold
+  int history = 0;                       // how many of last_change, last_but_one_change hold
+  std::unique_ptr<SpectralBound> bound;  // of explicit steps
+  std::unique_ptr<GreenTangent> green;   // of Green's strain
 };
 
 /** The largest angle that an element may turn by in one lagged step, rad; METHOD: inflation by sqrt(1 + angle^2). */
@@ -93,6 +104,21 @@ constexpr int MAX_SUBSTEPS = 32;
 StepReport implicitEulerStep(const Model& model, const StepSettings& settings, const Supports& supports,
                              const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
                              Workspace& workspace);
+
+/** An explicit step is cut into at most so many sub-steps. */
+constexpr int MAX_EXPLICIT_SUBSTEPS = 1000;
+
+/** The longest step, s, that explicitStep() can be sure to be stable with, at the present positions. */
+double stableStep(const Model& model, const StepSettings& settings, const State& state, Workspace& workspace);
+
+/**
+ * One step of velocity Verlet, M a = f_ext - f_el(x) - D v with the consistent mass matrix, for any elasticity:
+ * of second order, and without numerical damping. Cut into sub-steps of at most 0.9 stableStep(); solver.tolerance is
+ * that of each acceleration.
+ */
+StepReport explicitStep(const Model& model, const StepSettings& settings, const Supports& supports,
+                        const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                        Workspace& workspace);
 
 /**
  * Moves x to the static equilibrium f_el(x) = f_ext(x) of the loads of the current time and stops the body. Converged

@@ -17,16 +17,97 @@ constexpr int LANES = 8;
 constexpr int DIAGONAL_STRIDE = 8;
 /** Doubles a node of an inverted diagonal block: three columns of x, y, z, 0. */
 constexpr int INVERSE_STRIDE = 12;
+/** Doubles of an element's ten products H_cd, c <= d 12 each: columns of x, y, z and a fourth number. */
+constexpr int PRODUCTS_STRIDE = 120;
+
+/** So many entries ahead, gather_blocks() fetches what it will need. */
+constexpr int READ_AHEAD = 24;
 
 struct Elements
 {
   int nodes_per_tet;           // 4 or 10
+  int points;                  // rotations an element: 1, or 4 of a quadratic one
   const int* gather;           // [block][node][LANES]: where a node's value is read
   const int* scatter;          // the same shape: where it is added
   const double* coefficients;  // [block][3][LANES]: V lambda_L, V mu, V rho
 };
 
-/** Bits that update_rotations() sets for an element. */
+/** Rows of 3x3 blocks, columns sorted; 9 doubles a block, by columns, and one more after the last block. */
+struct BlockRows
+{
+  const int* row_begin;
+  const int* column;
+  double* blocks;
+};
+
+/** For blocks of an assembled matrix, which blocks of element matrices they are the sums of. */
+struct Contributions
+{
+  struct Target
+  {
+    int slot, mirror;    // places of (i,j) and (j,i)
+    long begin, turned;  // of `from`: contributions, of which those from `turned` on are transposed
+  };
+  const Target* targets;  // with an end mark
+  const long* from;       // offsets in the element matrices, in doubles; READ_AHEAD more after the last
+};
+
+/**
+ * What the blocks of an assembled matrix belong to: the smallest vertex, edge, face or tetrahedron that has both
+ * control points (Weber et al. 2011, Fig. 4). Corners a < b < c < d in order of their nodes; edges and faces are
+ * those of an element's corners so ordered: 01 02 03 12 13 23, and faces by the corner that they do not have. Pairs of
+ * slots are the places of a block and of its transpose. Every list ends with a mark.
+ */
+struct MeshEntities
+{
+  struct Vertex
+  {
+    int slot;
+    int begin;  // of `uses`
+  };
+  struct Edge
+  {
+    int ends[2], first_middle[2], middle_second[2], middle;  // linear elements: ends only
+    int begin;
+  };
+  struct Face
+  {
+    int a_bc[2], b_ac[2], ab_c[2], ab_ac[2], ab_bc[2], ac_bc[2];
+    int uses[2];  // on the boundary, the second is an element of zeros
+  };
+  struct Tet
+  {
+    int ab_cd[2], ac_bd[2], ad_bc[2];
+    int element;
+  };
+  /** Entities come in chunks of neighbours; first ones of each. */
+  struct Chunk
+  {
+    int vertex, edge, face, tet;
+  };
+  const Vertex* vertices;
+  const Edge* edges;
+  const Face* faces;
+  const Tet* tets;
+  const int* uses;  // 8 element + local number of the vertex, edge or face
+  const Chunk* chunks;
+};
+
+/**
+ * Barycentric coordinates of the four points of the rule of degree 2 (Hammer and Stroud 1956): NEAR to the corner of
+ * the same number, FAR from the others; (5 + 3 sqrt 5)/20 and (5 - sqrt 5)/20, each with a quarter of the volume.
+ */
+constexpr double NEAR = 0.58541019662496845446, FAR = 0.13819660112501051518;
+
+/** What update_rotations() takes rotations of. */
+enum class Gradient
+{
+  OF_CORNERS,
+  AT_CENTROID,
+  AT_FOUR_POINTS
+};
+
+/** Bits that update_rotations() sets for a rotation. */
 enum RotationFlag : unsigned char
 {
   UNIQUE = 1,   // converged, and certified as the maximum with a margin; otherwise the result is to be made anew
@@ -63,17 +144,17 @@ struct Table
   const char* name;
 
   /**
-   * Rotations R of the corner gradients F = sum_a x_aa g_a^T and the rotated gradients R g_1, R g_2, R g_3, for
-   * blocks [begin, end).
+   * Rotations R of gradients F and the rotated gradients R g_1, R g_2, R g_3, for blocks [begin, end).
    * @param gradients  [block][9][LANES], of the rest shape
-   * @param before     [block][9][LANES], start values, row-major 3x3
-   * @param after      [block][9][LANES], result
-   * @param rotated    [block][9][LANES], result
-   * @param turned     [block][LANES], |after - before|_F^2 = 8 sin^2(angle/2), result
-   * @param flags      [block][LANES], result, RotationFlag bits
+   * @param before     [block][points][9][LANES], start values, row-major 3x3
+   * @param after      [block][points][9][LANES], result
+   * @param rotated    [block][points][9][LANES], result
+   * @param turned     [block][points][LANES], |after - before|_F^2 = 8 sin^2(angle/2), result
+   * @param flags      [block][points][LANES], result, RotationFlag bits
    */
-  void (*update_rotations)(const Elements& elements, int begin, int end, const double* gradients, const double* x,
-                           const double* before, double* after, double* rotated, double* turned, unsigned char* flags);
+  void (*update_rotations)(const Elements& elements, Gradient gradient, int begin, int end, const double* gradients,
+                           const double* x, const double* before, double* after, double* rotated, double* turned,
+                           unsigned char* flags);
 
   /** y += (alpha M + beta K') u over blocks [begin, end). */
   void (*add_product)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
@@ -85,6 +166,36 @@ struct Table
   /** Adds the 3x3 diagonal blocks of alpha M + beta K' to d, DIAGONAL_STRIDE doubles a node. */
   void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                        double* d);
+
+  /**
+   * Element matrices of alpha M + beta K': [element][stride], upper triangles of blocks of 9 doubles, by columns
+   * (bezier_fem/assembled_matrix.h).
+   */
+  void (*element_matrices)(const Elements& elements, int begin, int end, const double* rotated, double alpha,
+                           double beta, double* out);
+  /** The same as alpha M + beta R K R^T from stored K, [block][pair][9][LANES], and R, [block][9][LANES]. */
+  void (*warped_matrices)(const Elements& elements, int begin, int end, const double* stiffness,
+                          const double* rotations, double alpha, double beta, double* out);
+
+  /** Adds element matrices to the blocks of (i,j) and (j,i), found in the sorted columns; nodes: [element][node]. */
+  void (*add_by_search)(const BlockRows& rows, int nodes_per_tet, int tets, const int* nodes, const double* matrices);
+  /** The same, the places known: [element][pair][2]. */
+  void (*add_by_slots)(const BlockRows& rows, int nodes_per_tet, int tets, const int* slots, const double* matrices);
+  /** Sets the blocks of targets [begin, end) to sums of their contributions. */
+  void (*gather_blocks)(const Contributions& list, int begin, int end, const double* matrices, double* blocks);
+
+  /**
+   * What fuse_blocks() reads of each element: [element][PRODUCTS_STRIDE].
+   * @param corner_order  [block][4][LANES], local corners in the order of their nodes
+   */
+  void (*gradient_products)(const Elements& elements, int begin, int end, const int* corner_order,
+                            const double* rotated, double alpha, double beta, double* out);
+  /** Sets the blocks that belong to the entities of chunks [begin, end). */
+  void (*fuse_blocks)(const MeshEntities& mesh, int nodes_per_tet, int begin, int end, const double* products,
+                      double* blocks);
+
+  /** y = A x over rows [begin, end). */
+  void (*block_product)(const BlockRows& rows, int begin, int end, const double* x, double* y);
 
   // Vector operations over nodes [begin, end).
   double (*dot)(int begin, int end, const double* a, const double* b);

@@ -512,10 +512,14 @@ Scene readScene(const YamlNode& root, const Origin& origin)
     return readChoice<Element>(value, {{"linear", Element::LINEAR}, {"quadratic", Element::QUADRATIC}});
   });
   map.get("elasticity", scene.elasticity, [](const Value& value) {
-    return readChoice<Elasticity>(value, {{"corotated", Elasticity::COROTATED}, {"linear", Elasticity::LINEAR}},
-                                  {"green"});
+    return readChoice<Elasticity>(
+        value, {{"corotated", Elasticity::COROTATED}, {"green", Elasticity::GREEN}, {"linear", Elasticity::LINEAR}});
   });
-  if (const auto found = map.find("rotation")) checkChoice(*found, {"corners"}, {"centroid", "four"});
+  map.get("rotation", scene.rotation, [](const Value& value) {
+    return readChoice<RotationRule>(value, {{"corners", RotationRule::FROM_CORNERS},
+                                            {"centroid", RotationRule::FROM_CENTROID},
+                                            {"four", RotationRule::FOUR_POINTS}});
+  });
   readMaterial(map.require("material", "a map with the keys young, poisson, density"), scene);
   if (const auto found = map.find("damping"))
   {
@@ -526,8 +530,9 @@ Scene readScene(const YamlNode& root, const Origin& origin)
   map.get("gravity", scene.gravity, readVector);
   map.get("time_step", scene.time_step, readNumber, POSITIVE);
   map.get("integrator", scene.integrator, [](const Value& value) {
-    return readChoice<Integrator>(
-        value, {{"implicit_euler", Integrator::IMPLICIT_EULER}, {"static", Integrator::STATIC}}, {"explicit"});
+    return readChoice<Integrator>(value, {{"implicit_euler", Integrator::IMPLICIT_EULER},
+                                          {"explicit", Integrator::EXPLICIT},
+                                          {"static", Integrator::STATIC}});
   });
   if (const auto found = map.find("solver")) readSolver(*found, scene.solver);
   if (const auto found = map.find("initial"))

@@ -1,49 +1,18 @@
 #include "bezier_fem/step.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 
 #include "bezier_fem/element_operator.h"
+#include "bezier_fem/green_strain.h"
+#include "bezier_fem/stable_step.h"
+#include "forces.h"
+#include "stopwatch.h"
 
 namespace bezier_fem
 {
 namespace
 {
-class Stopwatch
-{
-public:
-  /** Adds the time since the last lap to `ms`. */
-  void lap(double& ms)
-  {
-    const auto now = std::chrono::steady_clock::now();
-    ms += std::chrono::duration<double, std::milli>(now - last_).count();
-    last_ = now;
-  }
-
-private:
-  std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
-};
-
-/** Gravity, the scene's loads and the external forces at a time, in N. */
-void gatherLoads(const Model& model, const StepSettings& settings, const std::vector<AppliedLoad>& loads,
-                 const NodalField& external, double time, const NodalField& x, NodalField& f)
-{
-  f.matrix() = external.matrix();
-  for (int i = 0; i < model.num_nodes; ++i) f[i] += model.node_mass[i] * settings.gravity;
-  addLoads(model, loads, time, x, f);
-}
-
-/** The first rows of a field that has ghost rows behind them. */
-auto nodes(NodalField& field, const Model& model)
-{
-  return field.matrix().leftCols(model.num_nodes);
-}
-auto nodes(const NodalField& field, const Model& model)
-{
-  return field.matrix().leftCols(model.num_nodes);
-}
-
 /** One lagged step of length h; updates x and v, not the rotations. */
 void laggedStep(const Model& model, const StepSettings& settings, const Supports& supports,
                 const std::vector<AppliedLoad>& loads, const NodalField& external, double step_begin, double h,
@@ -53,7 +22,7 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   const double damp_m = settings.damping.mass, damp_k = settings.damping.stiffness;
 
   // f_el(x) + (h + b) K' v = f_el(x + (h + b) v), because f_el is affine while the rotations are held.
-  gatherLoads(model, settings, loads, external, state.time + h / 2, state.x, w.load);
+  externalForce(model, settings, loads, external, state.time + h / 2, state.x, w.load);
   w.change.matrix() = state.x.matrix() + (h + damp_k) * state.v.matrix();
   elasticForce(model, w.partition, state.rotations, w.change, w.force);
   w.rhs.matrix() = h * (w.load.matrix() - nodes(w.force, model));
@@ -65,7 +34,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   watch.lap(report.ms.force);
 
   const double alpha = 1 + h * damp_m, beta = h * (h + damp_k);
-  w.solver.prepare(model, w.partition, state.rotations, supports.held, alpha, beta, 1e-3 * h);
+  const MatrixFreeSystem<Rotations> system(model, w.partition, state.rotations, alpha, beta);
+  w.solver.prepare(system, model, w.partition, supports.held, 1e-3 * h);
   watch.lap(report.ms.assembly);
 
   // Led components: the dv that takes them to where they have to be.
@@ -77,7 +47,7 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   const bool led = !(w.led.matrix().array() == 0).all();
   if (led)
   {
-    systemProduct(model, w.partition, state.rotations, alpha, beta, w.led, w.force);
+    system.product(w.led, w.force);
     w.rhs.matrix() -= nodes(w.force, model);
   }
 
@@ -89,8 +59,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   {
     w.change.setZero();
   }
-  const SolveReport solved = w.solver.solve(model, w.partition, state.rotations, w.rhs, w.change,
-                                            settings.solver.tolerance, std::max(1, settings.solver.max_iterations));
+  const SolveReport solved = w.solver.solve(system, w.partition, w.rhs, w.change, settings.solver.tolerance,
+                                            std::max(1, settings.solver.max_iterations));
   report.iterations += solved.iterations;
   report.residual = std::max(report.residual, solved.residual);
   report.converged = report.converged && solved.converged;
@@ -102,9 +72,15 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   report.finite = state.x.matrix().allFinite();
   watch.lap(report.ms.solve);
 }
+
+Rotations startRotations(const Model& model, const StepSettings& settings)
+{
+  return restRotations(model,
+                       settings.elasticity == Elasticity::COROTATED ? settings.rotation : RotationRule::FROM_CORNERS);
+}
 }  // namespace
 
-Workspace::Workspace(const Model& model, int threads)
+Workspace::Workspace(const Model& model, const StepSettings& settings, int threads)
     : partition(model, threads),
       solver(model, partition),
       balance(model.num_nodes),
@@ -117,8 +93,8 @@ Workspace::Workspace(const Model& model, int threads)
       last_but_one_change(model.num_nodes),
       x_before(model.num_nodes),
       v_before(model.num_nodes),
-      candidate(restRotations(model)),
-      turned(static_cast<std::size_t>(model.num_blocks) * LANES)
+      candidate(startRotations(model, settings)),
+      turned(candidate.flags.size())
 {
 }
 
@@ -178,6 +154,8 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
   return report;
 }
 
+Workspace::~Workspace() = default;
+
 State startState(const Model& model, const StepSettings& settings, const Supports& supports, const NodalField& x,
                  const Eigen::Vector3d& velocity, Workspace& w)
 {
@@ -192,7 +170,7 @@ State startState(const Model& model, const StepSettings& settings, const Support
       if (!(supports.held[i] >> axis & 1)) state.v[i][axis] = velocity[axis];
     }
   }
-  state.rotations = restRotations(model);
+  state.rotations = startRotations(model, settings);
   if (settings.elasticity == Elasticity::COROTATED)
   {
     const Rotations rest = state.rotations;
