@@ -114,6 +114,31 @@ enum RotationFlag : unsigned char
   INVERTED = 2  // det F <= 0
 };
 
+/** Doubles an element that linearise() of St. Venant-Kirchhoff elasticity stores, linear and quadratic elements. */
+constexpr int LINEAR_TANGENT = 15, QUADRATIC_TANGENT = 96;
+
+/**
+ * St. Venant-Kirchhoff elasticity of one kind of element, over blocks [begin, end).
+ * @param rest  [block][9][LANES], gradients g_1, g_2, g_3 of the rest shape
+ * @param tangent  [block][LINEAR_TANGENT or QUADRATIC_TANGENT][LANES]: F at the corners, then the integrals T_ab of
+ *                 lambda_a lambda_b S (linear elements: F and V S)
+ */
+struct GreenTable
+{
+  double (*energy)(const Elements& elements, int begin, int end, const double* rest, const double* x);
+  /** y += force */
+  void (*add_force)(const Elements& elements, int begin, int end, const double* rest, const double* x, double* y);
+  /** @param projected  without the negative eigenvalues of S */
+  void (*linearise)(const Elements& elements, int begin, int end, const double* rest, const double* x, bool projected,
+                    double* tangent);
+  /** y += (alpha M + beta K_T) u */
+  void (*add_product)(const Elements& elements, int begin, int end, const double* rest, const double* tangent,
+                      double alpha, double beta, const double* u, double* y);
+  /** Adds the 3x3 diagonal blocks of alpha M + beta K_T to d, DIAGONAL_STRIDE doubles a node. */
+  void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rest, const double* tangent,
+                       double alpha, double beta, double* d);
+};
+
 struct Table
 {
   const char* name;
@@ -179,6 +204,8 @@ struct Table
                     double* r, double* z);
   /** p = z + b p */
   void (*redirect)(int begin, int end, double b, const double* z, double* p);
+
+  GreenTable green_linear, green_quadratic;
 };
 
 /** The widest of the machine's instruction sets; BEZIER_FEM_ISA=portable|avx2|avx512 in the environment narrows it. */
