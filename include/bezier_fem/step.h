@@ -15,6 +15,7 @@
 
 namespace bezier_fem
 {
+class AssembledSystem;
 class SpectralBound;
 struct GreenTangent;
 
@@ -71,7 +72,7 @@ struct Workspace
   /** To be called when the state was not made by the last step. */
   void forgetHistory() { history = 0; }
   /** To be called after setMaterials(). */
-  void forgetMaterials() { bound.reset(); }
+  void forgetMaterials();
 
   Partition partition;
   ConjugateGradient solver;
@@ -80,9 +81,10 @@ struct Workspace
   NodalField load, force, rhs, led, change, last_change, last_but_one_change, x_before, v_before;
   Rotations candidate;
   AlignedVector<double> turned;
-  int history = 0;                       // how many of last_change, last_but_one_change hold
-  std::unique_ptr<SpectralBound> bound;  // of explicit steps
-  std::unique_ptr<GreenTangent> green;   // of Green's strain
+  int history = 0;                             // how many of last_change, last_but_one_change hold
+  std::unique_ptr<AssembledSystem> assembled;  // where the settings ask for a matrix
+  std::unique_ptr<SpectralBound> bound;        // of explicit steps
+  std::unique_ptr<GreenTangent> green;         // of Green's strain
 };
 
 /** The largest angle that an element may turn by in one lagged step, rad; METHOD: inflation by sqrt(1 + angle^2). */

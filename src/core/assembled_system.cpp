@@ -74,7 +74,21 @@ void AssembledSystem::assemble(const Rotations& rotations, double alpha, double 
   if (!by_products_) by_products_ = std::make_unique<ByProducts>(model_, matrix_);
   by_products_->fill(model_, partition_, rotations.points,
                      [&](const kernels::Elements& elements, int begin, int end, const double* u, double* y) {
-                       kernels::table().add_product(elements, begin, end, rotations.gradients.data(), alpha, beta, u, y);
+                       kernels::table().add_product(elements, begin, end, rotations.gradients.data(), alpha, beta, u,
+                                                    y);
+                     });
+  by_products_->assembler.assemble(model_, partition_, by_products_->matrices, matrix_);
+}
+
+void AssembledSystem::assemble(const GreenTangent& tangent, double alpha, double beta)
+{
+  if (!by_products_) by_products_ = std::make_unique<ByProducts>(model_, matrix_);
+  const kernels::GreenTable& green =
+      model_.quadratic() ? kernels::table().green_quadratic : kernels::table().green_linear;
+  by_products_->fill(model_, partition_, 1,
+                     [&](const kernels::Elements& elements, int begin, int end, const double* u, double* y) {
+                       green.add_product(elements, begin, end, model_.block_gradients.data(), tangent.blocks.data(),
+                                         alpha, beta, u, y);
                      });
   by_products_->assembler.assemble(model_, partition_, by_products_->matrices, matrix_);
 }

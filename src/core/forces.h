@@ -1,5 +1,6 @@
 #pragma once
 
+#include "bezier_fem/assembled_system.h"
 #include "bezier_fem/step.h"
 
 namespace bezier_fem
@@ -20,6 +21,16 @@ inline auto nodes(NodalField& field, const Model& model)
 inline auto nodes(const NodalField& field, const Model& model)
 {
   return field.matrix().leftCols(model.num_nodes);
+}
+
+/** alpha M + beta K in the form that the settings ask for. */
+template <class Linearisation>
+const SystemOperator& systemOf(const MatrixFreeSystem<Linearisation>& matrix_free, const Linearisation& at,
+                               double alpha, double beta, Workspace& w)
+{
+  if (!w.assembled) return matrix_free;
+  w.assembled->assemble(at, alpha, beta);
+  return *w.assembled;
 }
 
 }  // namespace bezier_fem

