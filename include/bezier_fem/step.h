@@ -71,7 +71,7 @@ struct Workspace
   /** To be called when the state was not made by the last step. */
   void forgetHistory() { history = 0; }
   /** To be called after setMaterials(). */
-  void forgetMaterials() { bound.reset(); }
+  void forgetMaterials();
 
   Partition partition;
   ConjugateGradient solver;

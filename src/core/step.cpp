@@ -156,6 +156,11 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
 
 Workspace::~Workspace() = default;
 
+void Workspace::forgetMaterials()
+{
+  bound.reset();
+}
+
 State startState(const Model& model, const StepSettings& settings, const Supports& supports, const NodalField& x,
                  const Eigen::Vector3d& velocity, Workspace& w)
 {
