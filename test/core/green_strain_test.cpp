@@ -6,6 +6,7 @@
 #include <functional>
 
 #include "bezier_fem/element_operator.h"
+#include "bezier_fem/stable_step.h"
 #include "core/bar.h"
 #include "kernels.h"
 
@@ -26,7 +27,7 @@ protected:
   Model model = test::boxModel(test::irregularBox({2, 2, 3}, {0.4, 0.4, 0.6}), GetParam(), STIFF);
   Partition partition{model, 1};
 
-  /** Bent, twisted and noisy; about 10 % of strain. */
+  /** Bent and twisted, strained by up to 40 %, and noisy. */
   NodalField bent(double noise = 0.01) const
   {
     NodalField x = model.rest;
@@ -320,7 +321,7 @@ TEST_P(GreenStrain, EveryInstructionSetAndThreadCountAgrees)
   };
   const auto compute = [&](const kernels::Table& table, bool projected) {
     const kernels::GreenTable& green = larger.quadratic() ? table.green_quadratic : table.green_linear;
-    const kernels::Elements elements{larger.nodes_per_tet, larger.block_nodes.data(), one.scatter(),
+    const kernels::Elements elements{larger.nodes_per_tet, 1, larger.block_nodes.data(), one.scatter(),
                                      larger.block_coefficients.data()};
     const double* rest = larger.block_gradients.data();
     Result r{0, NodalField(larger.num_nodes), NodalField(larger.num_nodes), {}};
@@ -363,6 +364,83 @@ TEST_P(GreenStrain, EveryInstructionSetAndThreadCountAgrees)
       EXPECT_LT(distance(f, expected.force), 1e-13);
       EXPECT_LT(distance(product, expected.product), 1e-13);
     }
+  }
+}
+
+/** The largest eigenvalue of M^-1 K. */
+double largestEigenvalue(const MatrixXd& K, const MatrixXd& M)
+{
+  return Eigen::GeneralizedSelfAdjointEigenSolver<MatrixXd>(K, M, Eigen::EigenvaluesOnly).eigenvalues().maxCoeff();
+}
+
+TEST_P(GreenStrain, SpectralBoundIsAboveTheLargestEigenvalueAndNotFar)
+{
+  for (const Material material : {STIFF, Material{2e5, 0.0, 500}, Material{2e5, -0.3, 500}})
+  {
+    setMaterials(model, std::vector<Material>(model.num_tets, material));
+    const SpectralBound bound(model, partition);
+    const MatrixXd M = dense(tangent(model.rest, Projection::NONE), 1, 0);
+    const double at_rest = largestEigenvalue(dense(tangent(model.rest, Projection::NONE), 0, 1), M);
+    EXPECT_NEAR(bound.green(model, partition, model.rest), bound.corotated(), 1e-9 * at_rest);
+    NodalField turned = bent(0.02);
+    Rotations rotations = restRotations(model);
+    AlignedVector<double> angles(static_cast<std::size_t>(model.num_blocks) * LANES);
+    updateRotations(model, partition, turned, restRotations(model), rotations, angles);
+    const double corotated = largestEigenvalue(byColumns([&](const NodalField& unit, NodalField& column) {
+                                                 systemProduct(model, partition, rotations, 0, 1, unit, column);
+                                               }),
+                                               M);
+    EXPECT_GE(bound.corotated(), corotated);
+    // Most of the distance is the elements' own eigenvalues against the body's, at rest too.
+    for (const NodalField& x : {model.rest, bent(0.005), pulled()})
+    {
+      const double limit = bound.green(model, partition, x);
+      const double plain = largestEigenvalue(dense(tangent(x, Projection::NONE), 0, 1), M);
+      EXPECT_GE(limit, plain);
+      EXPECT_GE(limit, largestEigenvalue(dense(tangent(x, Projection::POSITIVE_STRESS), 0, 1), M));
+      EXPECT_GT(stableStep(limit, {0, 0}), 0.43 * stableStep(plain, {0, 0}));
+    }
+    for (const NodalField& x : {bent(0.05), test::randomField(model.num_nodes, 30)})
+    {
+      EXPECT_GE(bound.green(model, partition, x),
+                largestEigenvalue(dense(tangent(x, Projection::POSITIVE_STRESS), 0, 1), M));
+    }
+  }
+}
+
+TEST_P(GreenStrain, ExplicitStepsStayBoundedBelowTheStableStepAndNotAbove)
+{
+  // The step is that of the body's own largest eigenvalue at the start; the bound's is shorter.
+  const SpectralBound bound(model, partition);
+  const MatrixXd M = dense(tangent(model.rest, Projection::NONE), 1, 0);
+  const Eigen::LLT<MatrixXd> factor(M);
+  const double largest = largestEigenvalue(dense(tangent(model.rest, Projection::NONE), 0, 1), M);
+  for (const Scene::Damping& damping : {Scene::Damping{0, 0}, Scene::Damping{20, 1e-4}})
+  {
+    EXPECT_LE(stableStep(bound.corotated(), damping), stableStep(largest, damping));
+    const auto run = [&](double dt) {
+      NodalField x = model.rest;
+      x.matrix() += 1e-4 * test::randomField(model.num_nodes, 3).matrix();
+      const double start = greenEnergy(model, x);
+      VectorXd v = VectorXd::Zero(3L * model.num_nodes);
+      double energy = start;
+      for (int k = 0; k < 1000 && energy < 1e3 * start; ++k)
+      {
+        NodalField velocity(model.num_nodes), rate(partition.rows());
+        for (int i = 0; i < model.num_nodes; ++i) velocity[i] = v.segment<3>(3L * i);
+        systemProduct(model, partition, tangent(x, Projection::NONE), damping.mass, damping.stiffness, velocity, rate);
+        const NodalField f = force(x);
+        VectorXd rhs(v.size());
+        for (int i = 0; i < model.num_nodes; ++i) rhs.segment<3>(3L * i) = -f[i] - rate[i];
+        v += dt * factor.solve(rhs);
+        for (int i = 0; i < model.num_nodes; ++i) x[i] += dt * v.segment<3>(3L * i);
+        energy = greenEnergy(model, x) + v.dot(M * v) / 2;
+      }
+      return energy / start;
+    };
+    EXPECT_LT(run(0.95 * stableStep(bound.corotated(), damping)), 100);
+    EXPECT_LT(run(0.95 * stableStep(largest, damping)), 100);
+    EXPECT_GT(run(1.05 * stableStep(largest, damping)), 1000);
   }
 }
 
