@@ -65,7 +65,7 @@ public:
   int slot(int i, int j) const;
 
 private:
-  std::vector<int> row_begin_, column_;
+  std::vector<int> row_begin_, column_, diagonal_;
   AlignedVector<double> blocks_;
 };
 

@@ -546,8 +546,21 @@ void addDiagonalAny(const Elements& elements, int begin, int end, const double* 
 namespace bezier_fem::kernels
 {
 extern const Table TABLE;
-const Table TABLE = {TABLE_NAME,         updateRotations, addProductAny,  addForceAny,   addDiagonalAny,
-                     elementMatricesAny, warpedMatricesAny, addBySearchAny, addBySlotsAny, gatherBlocks,
-                     gradientProductsAny, fuseBlocksAny, blockProduct, dot, advance, redirect};
+const Table TABLE = {TABLE_NAME,
+                     updateRotations,
+                     addProductAny,
+                     addForceAny,
+                     addDiagonalAny,
+                     elementMatricesAny,
+                     warpedMatricesAny,
+                     addBySearchAny,
+                     addBySlotsAny,
+                     gatherBlocks,
+                     gradientProductsAny,
+                     fuseBlocksAny,
+                     blockProduct,
+                     dot,
+                     advance,
+                     redirect};
 
 }  // namespace bezier_fem::kernels
