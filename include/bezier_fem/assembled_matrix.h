@@ -35,7 +35,8 @@ struct ElementMatrices
 void rotatedGradientMatrices(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
                              double beta, ElementMatrices& out);
 
-/** Element stiffness matrices of the rest shape, N/m: [block][pair][9][LANES]. To be made anew for a new material. */
+/** Element stiffness matrices of the rest shape, N/m: [block][pair][9][LANES], blocks by columns. To be made anew for a
+ * new material. */
 using RestStiffness = AlignedVector<double>;
 RestStiffness restStiffness(const Model& model);
 

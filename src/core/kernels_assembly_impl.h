@@ -263,7 +263,9 @@ void warpedMatrices(const Elements& elements, int begin, int end, const double* 
       const Vec mass = alpha * load(elements.coefficients + (3L * block + 2) * LANES + part);
       for (int p = 0; p < Matrix::PAIRS; ++p)
       {
-        const Mat k = loadMatrix(stiffness + 9L * LANES * (static_cast<long>(block) * Matrix::PAIRS + p) + part);
+        const double* columns = stiffness + 9L * LANES * (static_cast<long>(block) * Matrix::PAIRS + p) + part;
+        Mat k;
+        for (int e = 0; e < 9; ++e) k.m[e % 3][e / 3] = load(columns + static_cast<long>(e) * LANES);
         const Mat t = scaled * k;
         Mat m;
         for (int i = 0; i < 3; ++i)
