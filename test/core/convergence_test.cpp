@@ -13,8 +13,9 @@ TEST(Quadrature, IsExactUpToItsDegree)
 {
   // integral of lambda^e = 6 V e! / (|e| + 3)!
   const auto rule = test::tetRule(5);
-  for (const Eigen::Vector4i& e : {Eigen::Vector4i(0, 0, 0, 0), Eigen::Vector4i(7, 0, 0, 0), Eigen::Vector4i(0, 0, 0, 7),
-                                   Eigen::Vector4i(2, 1, 3, 1), Eigen::Vector4i(0, 4, 0, 3)})
+  for (const Eigen::Vector4i& e :
+       {Eigen::Vector4i(0, 0, 0, 0), Eigen::Vector4i(7, 0, 0, 0), Eigen::Vector4i(0, 0, 0, 7),
+        Eigen::Vector4i(2, 1, 3, 1), Eigen::Vector4i(0, 4, 0, 3)})
   {
     double sum = 0, expected = 6 / std::tgamma(e.sum() + 4);
     for (const auto& [lambda, weight] : rule)
