@@ -32,11 +32,12 @@ VectorXd packageFrequencies(const TetMesh& mesh, Element element, double floor)
 
 VectorXd lagrangeFrequencies(const TetMesh& mesh, Element element, double floor)
 {
-  const test::LagrangeSystem system = test::lagrangeSystem(mesh, element, test::RUBBER);
+  const test::LagrangeMesh nodal = test::lagrangeMesh(mesh, element);
+  const test::LagrangeSystem system = test::lagrangeSystem(nodal, test::RUBBER);
   std::vector<int> free;
   for (int i = 0; i < system.K.rows(); ++i)
   {
-    if (system.nodes(2, i / 3) >= floor) free.push_back(i);
+    if (nodal.nodes(2, i / 3) >= floor) free.push_back(i);
   }
   return test::squaredFrequencies(system.K(free, free), system.M(free, free));
 }

@@ -11,93 +11,112 @@
 
 namespace bezier_fem::test
 {
-/** Dense stiffness and mass of nodal (Lagrange) tetrahedra with 4 or 10 nodes; rows 3 node + axis. */
+/** Nodal (Lagrange) tetrahedra with 4 or 10 nodes, in a numbering of their own. */
+struct LagrangeMesh
+{
+  Eigen::Matrix3Xd nodes;    // m: corners, then middles of edges
+  Eigen::MatrixXi elements;  // 4 or 10 x tets: corners, then edges in the order of EDGE_CORNERS
+};
+
+inline LagrangeMesh lagrangeMesh(const TetMesh& mesh, Element element)
+{
+  const auto corners = static_cast<int>(mesh.corners.cols());
+  LagrangeMesh result{mesh.corners, mesh.tets};
+  if (element == Element::LINEAR) return result;
+  result.elements.conservativeResize(10, Eigen::NoChange);
+  std::map<std::pair<int, int>, int> middles;
+  for (Eigen::Index t = 0; t < mesh.tets.cols(); ++t)
+  {
+    for (int e = 0; e < EDGES; ++e)
+    {
+      const auto ends = std::minmax(mesh.tets(EDGE_CORNERS[e][0], t), mesh.tets(EDGE_CORNERS[e][1], t));
+      result.elements(4 + e, t) = middles.try_emplace(ends, corners + static_cast<int>(middles.size())).first->second;
+    }
+  }
+  result.nodes.conservativeResize(Eigen::NoChange, corners + static_cast<Eigen::Index>(middles.size()));
+  for (const auto& [ends, node] : middles)
+  {
+    result.nodes.col(node) = (mesh.corners.col(ends.first) + mesh.corners.col(ends.second)) / 2;
+  }
+  return result;
+}
+
+/** Their dense stiffness and mass; rows 3 node + axis. */
 struct LagrangeSystem
 {
   Eigen::MatrixXd K, M;
-  Eigen::Matrix3Xd nodes;  // m: corners, then middles of edges
 };
 
 /**
- * The textbook element (Zienkiewicz and Taylor 2000, vol. 1, sections 6.2 and 8.11: engineering strains, B^T D B,
- * quadrature) with a numbering of its own. It spans the same functions as the package's element by another basis and
- * shares no formula with it; so eigenvalues must agree, though no entry of the matrices does.
+ * The textbook element (Zienkiewicz and Taylor 2000, vol. 1: engineering strains, B^T D B, quadrature). It spans the
+ * same functions as the package's element by another basis and shares no formula with it; so eigenvalues must agree,
+ * though no entry of the matrices does.
+ * @param mass_rule  exact from degree 4 on
  */
-inline LagrangeSystem lagrangeSystem(const TetMesh& mesh, Element element, const Material& m)
+inline LagrangeSystem lagrangeSystem(const LagrangeMesh& mesh, const Material& m,
+                                     const std::vector<QuadraturePoint>& mass_rule = tetRule(4))
 {
-  const int nodes = element == Element::QUADRATIC ? 10 : 4;
-  const auto corners = static_cast<int>(mesh.corners.cols());
-  std::map<std::pair<int, int>, int> middles;
-  if (nodes == 10)
-  {
-    for (Eigen::Index t = 0; t < mesh.tets.cols(); ++t)
-    {
-      for (const auto& [a, b] : EDGE_CORNERS)
-      {
-        middles.try_emplace(std::minmax(mesh.tets(a, t), mesh.tets(b, t)), corners + static_cast<int>(middles.size()));
-      }
-    }
-  }
-  LagrangeSystem system;
-  const Eigen::Index count = corners + static_cast<Eigen::Index>(middles.size());
-  system.nodes.resize(3, count);
-  system.nodes.leftCols(corners) = mesh.corners;
-  for (const auto& [ends, node] : middles)
-  {
-    system.nodes.col(node) = (mesh.corners.col(ends.first) + mesh.corners.col(ends.second)) / 2;
-  }
-
+  const auto nodes = static_cast<int>(mesh.elements.rows());
   Eigen::Matrix<double, 6, 6> D = Eigen::Matrix<double, 6, 6>::Zero();
   D.topLeftCorner<3, 3>().setConstant(m.poisson);
   D.topLeftCorner<3, 3>().diagonal().setConstant(1 - m.poisson);
   D.bottomRightCorner<3, 3>().diagonal().setConstant((1 - 2 * m.poisson) / 2);
   D *= m.young / ((1 + m.poisson) * (1 - 2 * m.poisson));
 
-  system.K = system.M = Eigen::MatrixXd::Zero(3 * count, 3 * count);
-  const std::vector<QuadraturePoint> rule = tetRule(4);  // degree 5; the mass needs 4
-  for (Eigen::Index t = 0; t < mesh.tets.cols(); ++t)
+  LagrangeSystem system;
+  system.K = system.M = Eigen::MatrixXd::Zero(3 * mesh.nodes.cols(), 3 * mesh.nodes.cols());
+  const std::vector<QuadraturePoint> stiffness_rule = tetRule(3);
+  for (Eigen::Index t = 0; t < mesh.elements.cols(); ++t)
   {
+    const Eigen::VectorXi index = mesh.elements.col(t);
     // Local coordinates xi, eta, zeta are those of corners 1, 2, 3.
     Eigen::Matrix3d jacobian;
     for (int k = 0; k < 3; ++k)
     {
-      jacobian.row(k) = (mesh.corners.col(mesh.tets(k + 1, t)) - mesh.corners.col(mesh.tets(0, t))).transpose();
+      jacobian.row(k) = (mesh.nodes.col(index[k + 1]) - mesh.nodes.col(index[0])).transpose();
     }
     Eigen::Matrix<double, 3, 4> local;
     local << -1, 1, 0, 0, -1, 0, 1, 0, -1, 0, 0, 1;
     const Eigen::Matrix<double, 3, 4> slopes = jacobian.inverse() * local;
     const double volume = jacobian.determinant() / 6;
 
-    std::vector<int> index;
-    for (int a = 0; a < 4; ++a) index.push_back(mesh.tets(a, t));
-    for (int e = 0; nodes == 10 && e < EDGES; ++e)
-    {
-      index.push_back(middles.at(std::minmax(index[EDGE_CORNERS[e][0]], index[EDGE_CORNERS[e][1]])));
-    }
     Eigen::MatrixXd stiffness = Eigen::MatrixXd::Zero(3 * nodes, 3 * nodes), mass = stiffness;
-    for (const auto& [lambda, weight] : rule)
+    for (const auto& [lambda, weight] : stiffness_rule)
     {
-      Eigen::VectorXd shape(nodes);
-      Eigen::Matrix3Xd slope(3, nodes);
-      for (int a = 0; a < 4; ++a)
-      {
-        shape[a] = nodes == 4 ? lambda[a] : lambda[a] * (2 * lambda[a] - 1);
-        slope.col(a) = (nodes == 4 ? 1 : 4 * lambda[a] - 1) * slopes.col(a);
-      }
-      for (int e = 0; nodes == 10 && e < EDGES; ++e)
-      {
-        const auto [a, b] = EDGE_CORNERS[e];
-        shape[4 + e] = 4 * lambda[a] * lambda[b];
-        slope.col(4 + e) = 4 * (lambda[a] * slopes.col(b) + lambda[b] * slopes.col(a));
-      }
-      Eigen::MatrixXd B = Eigen::MatrixXd::Zero(6, 3 * nodes), N = Eigen::MatrixXd::Zero(3, 3 * nodes);
+      Eigen::MatrixXd B = Eigen::MatrixXd::Zero(6, 3 * nodes);
       for (int i = 0; i < nodes; ++i)
       {
-        const double x = slope(0, i), y = slope(1, i), z = slope(2, i);
+        Eigen::Vector3d slope;
+        if (i >= 4)
+        {
+          const auto [a, b] = EDGE_CORNERS[i - 4];
+          slope = 4 * (lambda[a] * slopes.col(b) + lambda[b] * slopes.col(a));
+        }
+        else
+        {
+          slope = (nodes == 4 ? 1 : 4 * lambda[i] - 1) * slopes.col(i);
+        }
+        const double x = slope.x(), y = slope.y(), z = slope.z();
         B.middleCols<3>(3L * i) << x, 0, 0, 0, y, 0, 0, 0, z, y, x, 0, 0, z, y, z, 0, x;
-        N.middleCols<3>(3L * i) = shape[i] * Eigen::Matrix3d::Identity();
       }
       stiffness += weight * volume * B.transpose() * D * B;
+    }
+    for (const auto& [lambda, weight] : mass_rule)
+    {
+      Eigen::MatrixXd N(3, 3 * nodes);
+      for (int i = 0; i < nodes; ++i)
+      {
+        double shape;
+        if (i >= 4)
+        {
+          shape = 4 * lambda[EDGE_CORNERS[i - 4][0]] * lambda[EDGE_CORNERS[i - 4][1]];
+        }
+        else
+        {
+          shape = nodes == 4 ? lambda[i] : lambda[i] * (2 * lambda[i] - 1);
+        }
+        N.middleCols<3>(3L * i) = shape * Eigen::Matrix3d::Identity();
+      }
       mass += weight * volume * m.density * N.transpose() * N;
     }
     for (int i = 0; i < nodes; ++i)

@@ -43,4 +43,13 @@ inline std::vector<QuadraturePoint> tetRule(int n)
   return rule;
 }
 
+/** The rules that finite-element programs are content with: one point (degree 1) or four (degree 2). */
+inline std::vector<QuadraturePoint> shortTetRule(int points)
+{
+  if (points == 1) return {{Eigen::Vector4d::Constant(0.25), 1}};
+  std::vector<QuadraturePoint> rule(4, {Eigen::Vector4d::Constant((5 - std::sqrt(5.0)) / 20), 0.25});
+  for (int q = 0; q < 4; ++q) rule[q].lambda[q] = (5 + 3 * std::sqrt(5.0)) / 20;
+  return rule;
+}
+
 }  // namespace bezier_fem::test
