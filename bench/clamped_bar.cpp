@@ -62,7 +62,7 @@ StepSettings barSettings(Elasticity elasticity, double tolerance)
 State equilibrium(const ClampedBar& bar, Elasticity elasticity, const NodalField& start)
 {
   const StepSettings settings = barSettings(elasticity, 1e-6);
-  Workspace workspace(bar.model, 1);
+  Workspace workspace(bar.model, settings, 1);
   State state = startState(bar.model, settings, bar.supports, start, Eigen::Vector3d::Zero(), workspace);
   const NodalField no_force(bar.model.num_nodes);
   if (!solveStatic(bar.model, settings, bar.supports, {}, no_force, state, workspace, {}).converged)

@@ -40,7 +40,7 @@ struct StepCost
 StepCost swing(const ClampedBar& bar, Elasticity elasticity)
 {
   const StepSettings settings = barSettings(elasticity, 1e-4);
-  Workspace workspace(bar.model, 1);
+  Workspace workspace(bar.model, settings, 1);
   State state = startState(bar.model, settings, bar.supports, bar.model.rest, Eigen::Vector3d::Zero(), workspace);
   const NodalField no_force(bar.model.num_nodes);
   std::vector<double> ms, iterations;

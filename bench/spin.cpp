@@ -61,20 +61,39 @@ NodalField bent(const Model& model, double angle)
   return x;
 }
 
-void addRun(const Motion& motion, Element element, double time_step, Table& table)
+struct Law
+{
+  const char* elasticity;
+  const char* rotation;  // null where the law has none
+  Elasticity key;
+  RotationRule rule;
+};
+
+struct Integration
+{
+  const char* name;
+  decltype(&implicitEulerStep) step;
+  double time_step;  // s
+};
+
+void addRun(const Motion& motion, Element element, const Law& law, const Integration& integration, Table& table)
 {
   const Model model = test::boxModel(test::kuhnBox({2, 2, 5}, {0.4, 0.4, 1}), element);
-  progress(std::string(motion.name) + ", " + test::name(element) + ", " + std::to_string(time_step) + " s");
+  progress(std::string(motion.name) + ", " + test::name(element) + ", " + law.elasticity + " " +
+           (law.rotation ? law.rotation : "") + ", " + integration.name + " " + std::to_string(integration.time_step) +
+           " s");
   Supports supports;
   supports.start = model.rest;
   supports.held.assign(model.num_nodes, 0);
   supports.region.assign(model.num_nodes, {-1, -1, -1});
   StepSettings settings{};
-  settings.time_step = time_step;
+  settings.time_step = integration.time_step;
+  settings.elasticity = law.key;
+  settings.rotation = law.rule;
   settings.gravity.setZero();
   settings.solver.tolerance = 1e-9;  // the solver's error is not what is measured
   settings.solver.max_iterations = 10000;
-  Workspace workspace(model, 1);
+  Workspace workspace(model, settings, 1);
   const NodalField no_force(model.num_nodes);
   State state = startState(model, settings, supports, bent(model, motion.bend), Eigen::Vector3d::Zero(), workspace);
   for (int i = 0; i < model.num_nodes; ++i)
@@ -86,23 +105,23 @@ void addRun(const Motion& motion, Element element, double time_step, Table& tabl
   const double momentum = std::sqrt(2 * model.mass() * start.energy);
   const double angular_momentum =
       momentum * std::sqrt((0.4 * 0.4 + 1) / 12);  // inertia about the middle: m (a^2 + l^2)/12
-  const int steps = static_cast<int>(std::lround(DURATION / time_step));
-  const int every = static_cast<int>(std::lround(ROW_EVERY / time_step));
+  const int steps = static_cast<int>(std::lround(DURATION / integration.time_step));
+  const int every = static_cast<int>(std::lround(ROW_EVERY / integration.time_step));
   for (int k = 0; k <= steps; ++k)
   {
     if (k > 0)
     {
-      const StepReport report = implicitEulerStep(model, settings, supports, {}, no_force, state, workspace);
+      const StepReport report = integration.step(model, settings, supports, {}, no_force, state, workspace);
       if (!report.finite || !report.converged) throw std::runtime_error("a step was not solved");
     }
     if (k % every != 0) continue;
     const Conserved now = measure(model, state, workspace);
     table.push_back({{"motion", motion.name},
                      {"element", test::name(element)},
-                     {"elasticity", "corotated"},
-                     {"rotation", "corners"},
-                     {"integrator", "implicit_euler"},
-                     {"time_step", time_step},
+                     {"elasticity", law.elasticity},
+                     {"rotation", law.rotation ? Table(law.rotation) : Table()},
+                     {"integrator", integration.name},
+                     {"time_step", integration.time_step},
                      {"time", k / every * ROW_EVERY},
                      {"momentum", (now.momentum - start.momentum).norm() / momentum},
                      {"angular_momentum", (now.angular_momentum - start.angular_momentum).norm() / angular_momentum},
@@ -114,12 +133,24 @@ void addRun(const Motion& motion, Element element, double time_step, Table& tabl
 Table spin()
 {
   const Motion motions[] = {{"spin", 0, {5, 0.5, 0.5}}, {"swing", 0.6, {0, 0, 0}}};
+  const Law laws[] = {{"corotated", "corners", Elasticity::COROTATED, RotationRule::FROM_CORNERS},
+                      {"corotated", "centroid", Elasticity::COROTATED, RotationRule::FROM_CENTROID},
+                      {"corotated", "four", Elasticity::COROTATED, RotationRule::FOUR_POINTS}};
+  const Integration integrations[] = {{"implicit_euler", implicitEulerStep, 0.02},
+                                      {"implicit_euler", implicitEulerStep, 0.01},
+                                      {"implicit_euler", implicitEulerStep, 0.005},
+                                      {"implicit_euler", implicitEulerStep, 0.001}};
   Table table = Table::array();
   for (const Motion& motion : motions)
   {
     for (const Element element : {Element::QUADRATIC, Element::LINEAR})
     {
-      for (const double time_step : {0.02, 0.01, 0.005, 0.001}) addRun(motion, element, time_step, table);
+      for (const Law& law : laws)
+      {
+        // A linear element has one gradient, so all rules are one.
+        if (element == Element::LINEAR && law.rule != RotationRule::FROM_CORNERS) continue;
+        for (const Integration& integration : integrations) addRun(motion, element, law, integration, table);
+      }
     }
   }
   return table;

@@ -96,7 +96,7 @@ inline FieldErrors solveWaves(const Model& model, const Waves& waves = {})
   settings.gravity.setZero();
   settings.solver.tolerance = 1e-8;
   settings.solver.max_iterations = 1000;
-  Workspace workspace(model, 1);
+  Workspace workspace(model, settings, 1);
   State state = startState(model, settings, supports, model.rest, Eigen::Vector3d::Zero(), workspace);
   if (!solveStatic(model, settings, supports, {}, force, state, workspace, {}).converged)
   {
