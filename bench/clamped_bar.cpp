@@ -50,8 +50,11 @@ Eigen::Vector3i cubicCells(int across)
 
 StepSettings barSettings(Elasticity elasticity, double tolerance)
 {
+  const Scene defaults;
   StepSettings settings{};
   settings.time_step = 0.02;
+  settings.rotation = defaults.rotation;
+  settings.solver = defaults.solver;
   settings.elasticity = elasticity;
   settings.gravity = {0, -9.81, 0};
   settings.solver.tolerance = tolerance;

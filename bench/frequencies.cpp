@@ -218,6 +218,7 @@ std::vector<double> timoshenko(const Bar& bar)
 std::vector<double> eulerBernoulli(const Bar& bar)
 {
   std::vector<double> result;
+  result.reserve(MODES);
   // Divided by cosh, which grows out of bounds.
   for (const double b : roots([](double x) { return std::cos(x) + 1 / std::cosh(x); }, 0.1, MODES))
   {

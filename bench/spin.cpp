@@ -122,7 +122,7 @@ void addRun(const Motion& motion, Element element, const Law& law, const Integra
                      {"rotation", law.rotation ? Table(law.rotation) : Table()},
                      {"integrator", integration.name},
                      {"time_step", integration.time_step},
-                     {"time", k / every * ROW_EVERY},
+                     {"time", ROW_EVERY * (k / every)},
                      {"momentum", (now.momentum - start.momentum).norm() / momentum},
                      {"angular_momentum", (now.angular_momentum - start.angular_momentum).norm() / angular_momentum},
                      {"energy", now.energy / start.energy}});
