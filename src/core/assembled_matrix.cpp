@@ -252,8 +252,8 @@ struct FusedAssembler::Lists
   std::vector<kernels::MeshEntities::Tet> tets;
   std::vector<kernels::MeshEntities::Chunk> chunks;
   std::vector<int> uses;
-  AlignedVector<int> corner_order;  // [block][4][LANES]
-  AlignedVector<double> products;   // [element][PRODUCTS_STRIDE], and an element of zeros
+  AlignedVector<double> corner_order;  // [block][4][LANES]
+  AlignedVector<double> products;      // [element][PRODUCTS_STRIDE], and an element of zeros
 };
 
 FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& pattern) : lists_(std::make_unique<Lists>())
@@ -263,7 +263,7 @@ FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& patter
   Lists& l = *lists_;
   const std::size_t elements = static_cast<std::size_t>(model.num_blocks) * LANES;
   l.products.assign((elements + 1) * kernels::PRODUCTS_STRIDE, 0.0);
-  l.corner_order.assign(elements * CORNERS, 0);
+  l.corner_order.assign(elements * CORNERS, 0.0);
 
   std::vector<int> entity(blocksOf(pattern), -1);  // at the place of a block that only this entity has
   std::vector<std::vector<int>> vertex_uses, edge_uses;

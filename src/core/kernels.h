@@ -149,9 +149,9 @@ struct Table
 
   /**
    * What fuse_blocks() reads of each element: [element][PRODUCTS_STRIDE].
-   * @param corner_order  [block][4][LANES], local corners in the order of their nodes
+   * @param corner_order  [block][4][LANES], local corners 0 to 3 in the order of their nodes
    */
-  void (*gradient_products)(const Elements& elements, int begin, int end, const int* corner_order,
+  void (*gradient_products)(const Elements& elements, int begin, int end, const double* corner_order,
                             const double* rotated, double alpha, double beta, double* out);
   /** Sets the blocks that belong to the entities of chunks [begin, end). */
   void (*fuse_blocks)(const MeshEntities& mesh, int nodes_per_tet, int begin, int end, const double* products,

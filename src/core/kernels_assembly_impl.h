@@ -378,7 +378,7 @@ void gatherBlocks(const Contributions& list, int begin, int end, const double* m
 constexpr int PRODUCT[4][4] = {{0, 12, 24, 36}, {12, 48, 60, 72}, {24, 60, 84, 96}, {36, 72, 96, 108}};
 
 template <int NODES>
-void gradientProducts(const Elements& elements, int begin, int end, const int* corner_order, const double* rotated,
+void gradientProducts(const Elements& elements, int begin, int end, const double* corner_order, const double* rotated,
                       double alpha, double beta, double* out)
 {
   Vec values[PRODUCTS_STRIDE] = {};
@@ -393,13 +393,12 @@ void gradientProducts(const Elements& elements, int begin, int end, const int* c
       RotatedGradients sorted;
       for (int a = 0; a < 4; ++a)
       {
-        const int* from = corner_order + (4L * block + a) * LANES + part;
-        for (int k = 0; k < WIDTH; ++k)
-        {
-          sorted.r[a].x[k] = g.r[from[k]].x[k];
-          sorted.r[a].y[k] = g.r[from[k]].y[k];
-          sorted.r[a].z[k] = g.r[from[k]].z[k];
-        }
+        const Vec from = load(corner_order + (4L * block + a) * LANES + part);
+        const auto pick = [&](Vec Vec3::*axis) {
+          const Vec low = from == 0 ? g.r[0].*axis : g.r[1].*axis, high = from == 2 ? g.r[2].*axis : g.r[3].*axis;
+          return from < 2 ? low : high;
+        };
+        sorted.r[a] = {pick(&Vec3::x), pick(&Vec3::y), pick(&Vec3::z)};
       }
       for (int a = 0; a < 4; ++a)
       {
@@ -575,8 +574,8 @@ void addBySlotsAny(int nodes_per_tet, int tets, const int* slots, const double* 
   (nodes_per_tet == 4 ? addBySlots<4> : addBySlots<10>)(tets, slots, matrices, blocks);
 }
 
-void gradientProductsAny(const Elements& elements, int begin, int end, const int* corner_order, const double* rotated,
-                         double alpha, double beta, double* out)
+void gradientProductsAny(const Elements& elements, int begin, int end, const double* corner_order,
+                         const double* rotated, double alpha, double beta, double* out)
 {
   (elements.nodes_per_tet == 4 ? gradientProducts<4> : gradientProducts<10>)(elements, begin, end, corner_order,
                                                                              rotated, alpha, beta, out);
