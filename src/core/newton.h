@@ -40,7 +40,7 @@ public:
   /** Takes the whole direction if that lowers the sum. */
   void tryDirection(const NodalField& direction);
   /** Sets the system of the iterate. */
-  void linearise(Projection projection);
+  void linearise();
   /**
    * A step from the iterate of the last linearise().
    * @param forcing  tolerance of the linear system
@@ -49,9 +49,9 @@ public:
   bool iterate(double forcing, int max_iterations, StepReport& report);
 
 private:
+  bool prepare(Projection projection);
   bool solve(double forcing, int max_iterations, StepReport& report);
   bool search(const NodalField& direction, int trials);
-  void evaluate();
 
   const Model& model_;
   const Supports& supports_;
@@ -61,7 +61,6 @@ private:
   Workspace& w_;
   NewtonMemory& m_;
   MatrixFreeSystem<GreenTangent> system_;
-  double energy_ = 0;  // U(x), J
   bool projected_ = false;
 };
 
