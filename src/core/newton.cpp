@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/measures.h"
@@ -89,7 +87,7 @@ bool GreenNewton::solve(double forcing, int max_iterations, StepReport& report)
   const double part = w_.solver.relativeNorm(w_.partition, m_.gradient, m_.gradient);
   const SolveReport solved = w_.solver.solve(system_, w_.partition, w_.rhs, w_.change, forcing * part, max_iterations);
   report.iterations += solved.iterations;
-  return !solved.indefinite && m_.gradient.matrix().cwiseProduct(w_.change.matrix()).sum() < 0;
+  return m_.gradient.matrix().cwiseProduct(w_.change.matrix()).sum() < 0;
 }
 
 bool GreenNewton::iterate(double forcing, int max_iterations, StepReport& report)
@@ -139,7 +137,7 @@ bool GreenNewton::search(const NodalField& direction, int trials)
 StepReport newtonStep(const Model& model, const StepSettings& settings, const Supports& supports,
                       const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w)
 {
-  constexpr int MAX_ROUNDS = 50;
+  constexpr int MAX_ROUNDS = 100;
   StepReport report;
   Stopwatch total, watch;
   if (!w.newton) w.newton = std::make_unique<NewtonMemory>(model, w.partition);
@@ -186,7 +184,6 @@ StepReport newtonStep(const Model& model, const StepSettings& settings, const Su
     // Eisenstat and Walker 1996, choice 2; no more than is needed to end a little below the tolerance.
     double forcing = round == 0 ? 0.03 : 0.9 * std::pow(report.residual / before, 2);
     forcing = std::clamp(forcing, 0.3 * settings.solver.tolerance / report.residual, 0.1);
-    if (getenv("DBG")) fprintf(stderr, "round %d res %g forcing %g\n", round, report.residual, forcing);
     before = report.residual;
     if (!newton.iterate(forcing, max_iterations, report)) break;
     report.residual = residual();

@@ -171,25 +171,33 @@ TEST_P(Newton, StaticEquilibriumIsWhereADampedMotionEnds)
 
 TEST_P(Newton, FindsTheEquilibriumOfSoftBodiesHangingAndStanding)
 {
-  // Hanging, the softest is stretched by half; standing, the third buckles and the last collapses onto itself.
-  for (const double direction : {1.0, -1.0})
+  // Hanging, the softest is stretched by half. Standing, the first is stiff enough; the others buckle under their
+  // weight, fall over and, there being no contact, hang below their foot.
+  for (const double gravity : {9.81, -9.81})
   {
+    double last = 1;
     for (const double young : {2e5, 5e4, 1e4, 2e3})
     {
       setMaterials(model, std::vector<Material>(model.num_tets, {young, 0.34, 500}));
       StepSettings s = settings(1e-6);
-      s.gravity = {0.05, 0, 9.81 * direction};
+      s.gravity = {0.05, 0, gravity};
       const Supports supports = holdFoot();
       Workspace workspace(model, s, 1);
       State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
       const double before = energy(s, state);
       const StepReport report = solveStatic(model, s, supports, {}, no_force, state, workspace, {});
-      std::printf("g %g E %g: converged %d residual %g iterations %d inverted %d tip z %g\n", direction, young,
-                  report.converged, report.residual, report.iterations, report.inverted,
-                  state.x.matrix().row(2).maxCoeff());
-      EXPECT_TRUE(report.finite && state.x.matrix().allFinite());
+      EXPECT_TRUE(report.converged) << "gravity " << gravity << ", E = " << young;
+      EXPECT_LE(report.residual, 1e-6);
       EXPECT_LT(energy(s, state), before);
-      EXPECT_TRUE(report.converged) << young;
+      if (gravity < 0 && young < 1e5) continue;
+      EXPECT_EQ(report.inverted, 0);
+      const double top = state.x.matrix().row(2).maxCoeff();
+      EXPECT_GT(gravity * (top - last), 0);
+      last = gravity > 0 ? top : 1;
+      // It is an equilibrium of the stepper as well.
+      const NodalField x = state.x;
+      implicitEulerStep(model, s, supports, {}, no_force, state, workspace);
+      EXPECT_LT((state.x.matrix() - x.matrix()).cwiseAbs().maxCoeff(), 1e-5);
     }
   }
 }
@@ -229,40 +237,42 @@ TEST_P(Newton, SurvivesInvertedStartsAndLongSteps)
   large.matrix() *= 30;
   for (const double dt : {0.001, 0.02, 1.0})
   {
-    int converged = 0, steps = 0;
-    for (const NodalField& x : {mirrored, flat, point, wild, large})
+    for (const NodalField* x : {&mirrored, &flat, &point, &wild, &large})
     {
+      int converged = 0;
       StepSettings s = settings(1e-4);
       s.time_step = dt;
       s.solver.max_iterations = 500;
       const Supports supports = holdNothing();
       Workspace workspace(model, s, 1);
-      State state = startState(model, s, supports, x, Vector3d::Zero(), workspace);
+      State state = startState(model, s, supports, *x, Vector3d::Zero(), workspace);
       double last = energy(s, state);
       const double scale = std::abs(last) + model.mass() * 9.81;
       for (int k = 0; k < 20; ++k)
       {
         const StepReport report = implicitEulerStep(model, s, supports, {}, no_force, state, workspace);
         ASSERT_TRUE(report.finite && state.x.matrix().allFinite() && state.v.matrix().allFinite());
-        ++steps;
         if (report.converged) ++converged;
         ASSERT_LE(report.inverted, model.num_tets);
         EXPECT_LE(energy(s, state), last + 1e-3 * scale);
         last = energy(s, state);
       }
+      // A point is a maximum of the energy: what follows is an explosion with most of the stresses compressive.
+      if (x != &point)
+      {
+        EXPECT_GE(converged, 18) << "dt " << dt;
+      }
     }
-    std::printf("dt %g: %d of %d converged\n", dt, converged, steps);
-    EXPECT_GE(converged, steps * 0.9);
   }
 }
 
 TEST_P(Newton, ThreadsChangeNothingButRounding)
 {
-  const StepSettings s = settings(1e-10);
+  const StepSettings s = settings(1e-9);
   const Supports supports = holdFoot();
   Workspace one(model, s, 1), two(model, s, 2), again(model, s, 2);
   State a = startState(model, s, supports, model.rest, Vector3d::Zero(), one), b = a, c = a;
-  for (int k = 0; k < 20; ++k)
+  for (int k = 0; k < 5; ++k)
   {
     implicitEulerStep(model, s, supports, {}, no_force, a, one);
     implicitEulerStep(model, s, supports, {}, no_force, b, two);
