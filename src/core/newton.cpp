@@ -35,7 +35,7 @@ GreenNewton::GreenNewton(const Model& model, const Supports& supports, const Rot
       w_(workspace),
       m_(*workspace.newton),
       // K_0 of the damping is replaced by the iterate's K: close to it, and one product instead of two.
-      system_(model, workspace.partition, m_.tangent, alpha, h * h + beta)
+      matrix_free_(model, workspace.partition, m_.tangent, alpha, h * h + beta)
 {
 }
 
@@ -71,7 +71,8 @@ bool GreenNewton::prepare(Projection projection)
 {
   bezier_fem::linearise(model_, w_.partition, x_, projection, m_.tangent);
   projected_ = projection != Projection::NONE;
-  return w_.solver.prepare(system_, model_, w_.partition, supports_.held, load_floor_);
+  system_ = &systemOf(matrix_free_, m_.tangent, alpha_, h_ * h_ + beta_, w_);
+  return w_.solver.prepare(*system_, model_, w_.partition, supports_.held, load_floor_);
 }
 
 void GreenNewton::linearise()
@@ -85,7 +86,7 @@ bool GreenNewton::solve(double forcing, int max_iterations, StepReport& report)
   w_.change.setZero();
   // Relative to the gradient also where that is below the solver's floor.
   const double part = w_.solver.relativeNorm(w_.partition, m_.gradient, m_.gradient);
-  const SolveReport solved = w_.solver.solve(system_, w_.partition, w_.rhs, w_.change, forcing * part, max_iterations);
+  const SolveReport solved = w_.solver.solve(*system_, w_.partition, w_.rhs, w_.change, forcing * part, max_iterations);
   report.iterations += solved.iterations;
   return m_.gradient.matrix().cwiseProduct(w_.change.matrix()).sum() < 0;
 }

@@ -62,7 +62,8 @@ private:
   NodalField &x_, &v_;
   Workspace& w_;
   NewtonMemory& m_;
-  MatrixFreeSystem<GreenTangent> system_;
+  MatrixFreeSystem<GreenTangent> matrix_free_;
+  const SystemOperator* system_ = nullptr;
   bool projected_ = false;
 };
 

@@ -71,7 +71,7 @@ class RunScene(unittest.TestCase):
         self.assertEqual((linear["nodes"], len(nodes[0])), (54, 54))
 
     def test_an_assembled_matrix_changes_nothing(self):
-        for law in ["rotation=corners"], ["rotation=centroid"], ["rotation=four"], ["element=linear"]:
+        for law in ["rotation=corners"], ["rotation=centroid"], ["rotation=four"], ["elasticity=green"], ["element=linear"]:
             settings = ["--steps", 5, "--set", "solver.tolerance=1.0e-10", *law]
             _, expected, _ = self.run_scene(*settings)
             _, probes, _ = self.run_scene(*settings, "--set", "solver.operator=assembled")
