@@ -55,7 +55,7 @@ struct StepReport
 {
   int substeps = 1;       // 1: exactly one lagged step
   double turn = 0;        // rad: the largest angle that an element turned by in an accepted (sub-)step
-  int inverted = 0;       // elements that end with det F <= 0 where a rotation is taken (co-rotated elasticity only)
+  int inverted = 0;       // elements that end with det F <= 0: where a rotation is taken, or at a corner (green)
   int iterations = 0;     // of the linear solver, in all
   double residual = 0;    // worst (sub-)step, relative, as the tolerance measures it
   bool converged = true;  // every residual within the tolerance
@@ -102,6 +102,11 @@ constexpr int MAX_SUBSTEPS = 32;
  *
  * A step in which an element turns by more than MAX_TURN is taken back and done in sub-steps short enough, down to
  * time_step / MAX_SUBSTEPS; except while elements are inverted, when StepReport::turn alone tells.
+ *
+ * With Green's strain implicit Euler itself, solved for the end of the step by Newton's method:
+ *     M dv + dt (f_el(x + dt (v + dv)) + D (v + dv) - f_ext) = 0,   D = a M + b K of the start of the step, projected;
+ * K is the derivative of the force. The residual that the tolerance is for is this sum, relative to its value for
+ * dv = 0 where free; the blocks B are those of the last of Newton's systems.
  *
  * @param external  force on control points, N, beside gravity and loads
  */

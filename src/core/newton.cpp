@@ -75,9 +75,9 @@ bool GreenNewton::prepare(Projection projection)
   return w_.solver.prepare(*system_, model_, w_.partition, supports_.held, load_floor_);
 }
 
-void GreenNewton::linearise()
+void GreenNewton::linearise(Projection projection)
 {
-  if (!prepare(Projection::NONE)) prepare(Projection::POSITIVE_STRESS);
+  if (!prepare(projection) && !projected_) prepare(Projection::POSITIVE_STRESS);
 }
 
 bool GreenNewton::solve(double forcing, int max_iterations, StepReport& report)
@@ -174,7 +174,7 @@ StepReport newtonStep(const Model& model, const StepSettings& settings, const Su
   double before = 0;
   for (int round = 0;; ++round)
   {
-    newton.linearise();
+    newton.linearise(Projection::NONE);
     watch.lap(report.ms.assembly);
     const auto residual = [&] { return w.solver.relativeNorm(w.partition, m.gradient, m.first); };
     if (round == 0) report.residual = residual();

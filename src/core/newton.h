@@ -41,8 +41,8 @@ public:
   void start();
   /** Takes the whole direction if that lowers the sum. */
   void tryDirection(const NodalField& direction);
-  /** Sets the system of the iterate. */
-  void linearise();
+  /** Sets the system of the iterate, with the projected tangent also where its diagonal is not positive otherwise. */
+  void linearise(Projection projection);
   /**
    * A step from the iterate of the last linearise().
    * @param forcing  tolerance of the linear system

@@ -69,6 +69,11 @@ StepReport greenEquilibrium(const Model& model, const StepSettings& settings, co
   // The sum that is minimised: U(x_0 + v) - f_ext . v, with a pressure's force that of the start of each round.
   state.v.setZero();
   GreenNewton newton(model, supports, state.rotations, 1, 0, 0, 0, state.x, state.v, w);
+  // Pressure turns with the faces, which takes back much of what the stress that it causes does to the stiffness. The
+  // tangent that knows of the one and not of the other would have each round turn the next one's loads too far.
+  const bool pressed =
+      std::any_of(loads.begin(), loads.end(), [](const AppliedLoad& load) { return load.pressure > 0; });
+  const Projection tangent = pressed ? Projection::POSITIVE_STRESS : Projection::NONE;
   StepReport report;
   double before = 0;
   for (int round = 0;; ++round)
@@ -87,7 +92,7 @@ StepReport greenEquilibrium(const Model& model, const StepSettings& settings, co
 
     const double forcing = round == 0 ? 0.03 : 0.9 * std::pow(report.residual / before, 2);
     before = report.residual;
-    newton.linearise();
+    newton.linearise(tangent);
     if (!newton.iterate(std::clamp(forcing, 0.1 * settings.solver.tolerance, 0.03),
                         100 * settings.solver.max_iterations, report))
     {

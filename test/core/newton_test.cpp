@@ -202,6 +202,39 @@ TEST_P(Newton, FindsTheEquilibriumOfSoftBodiesHangingAndStanding)
   }
 }
 
+TEST_P(Newton, BalancesAPressureThatTurnsWithTheBody)
+{
+  // Nearly as much as makes the bar buckle if it did not turn.
+  StepSettings s = settings(1e-6);
+  const Supports supports = holdFoot();
+  for (const double pressure : {5000.0, -5000.0})
+  {
+    AppliedLoad load;
+    load.from = 0;
+    load.until = 1;
+    load.pressure = pressure;
+    for (const Model::Face& face : model.boundary)
+    {
+      const auto nodes = model.nodesOf(face);
+      if (std::min({model.rest[nodes[0]].z(), model.rest[nodes[1]].z(), model.rest[nodes[2]].z()}) < 1 - 1e-9) continue;
+      load.faces.push_back(face);
+    }
+    Workspace workspace(model, s, 1);
+    State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
+    const StepReport report = solveStatic(model, s, supports, {load}, no_force, state, workspace, {});
+    EXPECT_TRUE(report.converged) << pressure;
+    NodalField applied(model.num_nodes), elastic(workspace.partition.rows());
+    addLoads(model, {load}, 0, state.x, applied);
+    greenForce(model, workspace.partition, state.x, elastic);
+    for (int i = 0; i < model.num_nodes; ++i)
+    {
+      if (supports.held[i]) continue;
+      EXPECT_LT((applied[i] + model.node_mass[i] * s.gravity - elastic[i]).norm(), 1e-5 * model.mass() * 9.81);
+    }
+    EXPECT_LT(state.x.matrix().row(1).minCoeff(), -0.03);
+  }
+}
+
 TEST_P(Newton, ALedRegionIsWhereItsMotionSaysAndTheBodyFollows)
 {
   StepSettings s = settings();
