@@ -1,4 +1,5 @@
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
@@ -81,9 +82,9 @@ struct Integration
 void addRun(const Motion& motion, Element element, const Law& law, const Integration& integration, Table& table)
 {
   const Model model = test::boxModel(test::kuhnBox({2, 2, 5}, {0.4, 0.4, 1}), element);
-  progress(std::string(motion.name) + ", " + test::name(element) + ", " + law.elasticity + " " +
-           (law.rotation ? law.rotation : "") + ", " + integration.name + " " + std::to_string(integration.time_step) +
-           " s");
+  progress(std::string(motion.name) + ", " + test::name(element) + ", " + law.elasticity +
+           (law.rotation ? std::string(" ") + law.rotation : "") + ", " + integration.name + " " +
+           std::to_string(integration.time_step) + " s");
   Supports supports;
   supports.start = model.rest;
   supports.held.assign(model.num_nodes, 0);
@@ -93,7 +94,7 @@ void addRun(const Motion& motion, Element element, const Law& law, const Integra
   settings.elasticity = law.key;
   settings.rotation = law.rule;
   settings.gravity.setZero();
-  settings.solver.tolerance = 1e-9;  // the solver's error is not what is measured
+  settings.solver.tolerance = 1e-7;  // the solver's error is not what is measured
   settings.solver.max_iterations = 10000;
   Workspace workspace(model, settings, 1);
   const NodalField no_force(model.num_nodes);
@@ -110,12 +111,14 @@ void addRun(const Motion& motion, Element element, const Law& law, const Integra
   const int steps = static_cast<int>(std::lround(DURATION / integration.time_step));
   const int every = static_cast<int>(std::lround(ROW_EVERY / integration.time_step));
   int rows = 0;
+  double residual = 0;
   for (int k = 0; k <= steps; ++k)
   {
     if (k > 0)
     {
       const StepReport report = integration.step(model, settings, supports, {}, no_force, state, workspace);
-      if (!report.finite || !report.converged) throw std::runtime_error("a step was not solved");
+      if (!report.finite) throw std::runtime_error("the state was lost");
+      residual = std::max(residual, report.residual);
     }
     if (k % every != 0) continue;
     const Conserved now = measure(model, law.key, state, workspace);
@@ -128,7 +131,8 @@ void addRun(const Motion& motion, Element element, const Law& law, const Integra
                      {"time", ROW_EVERY * rows++},
                      {"momentum", (now.momentum - start.momentum).norm() / momentum},
                      {"angular_momentum", (now.angular_momentum - start.angular_momentum).norm() / angular_momentum},
-                     {"energy", now.energy / start.energy}});
+                     {"energy", now.energy / start.energy},
+                     {"worst_residual", residual}});
   }
 }
 }  // namespace
@@ -140,10 +144,11 @@ Table spin()
                       {"corotated", "centroid", Elasticity::COROTATED, RotationRule::FROM_CENTROID},
                       {"corotated", "four", Elasticity::COROTATED, RotationRule::FOUR_POINTS},
                       {"green", nullptr, Elasticity::GREEN, RotationRule::FROM_CORNERS}};
-  const Integration integrations[] = {
-      {"implicit_euler", implicitEulerStep, 0.02},  {"implicit_euler", implicitEulerStep, 0.01},
-      {"implicit_euler", implicitEulerStep, 0.005}, {"implicit_euler", implicitEulerStep, 0.001},
-      {"explicit", explicitStep, 0.0005},           {"explicit", explicitStep, 0.00025}};
+  const Integration integrations[] = {{"implicit_euler", implicitEulerStep, 0.02},
+                                      {"implicit_euler", implicitEulerStep, 0.01},
+                                      {"implicit_euler", implicitEulerStep, 0.005},
+                                      {"implicit_euler", implicitEulerStep, 0.001},
+                                      {"explicit", explicitStep, 0.0005}};
   Table table = Table::array();
   for (const Motion& motion : motions)
   {
