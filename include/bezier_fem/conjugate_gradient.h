@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "bezier_fem/element_operator.h"
+#include "bezier_fem/system_operator.h"
 
 namespace bezier_fem
 {
@@ -19,8 +19,8 @@ struct SolveReport
 };
 
 /**
- * Conjugate gradients for (alpha M + beta K') u = b on the components that are not held, preconditioned by the inverse
- * of the system's 3x3 diagonal blocks B. The residual is measured as sqrt(r^T B^-1 r), which strong contrasts of mass
+ * Conjugate gradients for A u = b on the components that are not held, preconditioned by the inverse of the system's
+ * 3x3 diagonal blocks B. The residual is measured as sqrt(r^T B^-1 r), which strong contrasts of mass
  * or stiffness do not distort, and it has converged when that is at most tolerance * max(sqrt(b^T B^-1 b), floor),
  * floor being the same of the right-hand side of a uniform acceleration (prepare()). The residual counts from
  * b - A u computed afresh at the end; if rounding had let it drift, the iteration goes on from there.
@@ -31,19 +31,20 @@ public:
   ConjugateGradient(const Model& model, const Partition& partition);
 
   /**
-   * Sets the system.
+   * Takes the system's diagonal.
    * @param load_floor  factor f of the right-hand side f M a of a uniform acceleration a = 1, root mean square over
    *                    its three directions, below which a right-hand side counts as that
    */
-  void prepare(const Model& model, const Partition& partition, const Rotations& rotations, const HeldAxes& held,
-               double alpha, double beta, double load_floor);
+  void prepare(const SystemOperator& system, const Model& model, const Partition& partition, const HeldAxes& held,
+               double load_floor);
 
   /**
+   * @param system  that of the last prepare()
    * @param b  right-hand side; its held components are not looked at
    * @param u  start value with held components zero, then the solution
    */
-  SolveReport solve(const Model& model, const Partition& partition, const Rotations& rotations, const NodalField& b,
-                    NodalField& u, double tolerance, int max_iterations);
+  SolveReport solve(const SystemOperator& system, const Partition& partition, const NodalField& b, NodalField& u,
+                    double tolerance, int max_iterations);
 
   /** b - A u of the last solve(), of held components too. */
   const NodalField& residual() const { return r_; }
@@ -52,7 +53,7 @@ public:
   double norm(const Partition& partition, const NodalField& r);
 
 private:
-  double alpha_ = 0, beta_ = 0, floor_ = 0;
+  double floor_ = 0;
   AlignedVector<double> diagonal_, inverse_;
   NodalField r_, z_, p_, q_;
   std::vector<double> partial_;  // a number a thread

@@ -4,6 +4,7 @@
 
 #include "bezier_fem/model.h"
 #include "bezier_fem/nodal_field.h"
+#include "bezier_fem/scene.h"
 
 namespace bezier_fem
 {
@@ -24,33 +25,44 @@ class Partition;
  */
 Eigen::Matrix3d polarRotation(const Eigen::Matrix3d& F, const Eigen::Matrix3d& before, double* margin = nullptr);
 
-/** One rotation an element and what it makes of the gradients, in the blocks of model.h. */
+/**
+ * The elements' rotations and what they make of the gradients, in the blocks of model.h. With one rotation an element
+ * K' and f_el cost least; for quadratic elements, whose F varies, f_el is then not the gradient of an energy. Four
+ * rotations, at the points of the rule that integrates the energy exactly once R is given, make it one, of
+ *     U = sum over points of V/4 (mu |F - R|^2 + lambda/2 tr(R^T F - 1)^2),
+ * so that angular momentum and energy are kept.
+ */
 struct Rotations
 {
-  AlignedVector<double> matrices;    // [block][9][LANES], row-major, world from rest
-  AlignedVector<double> gradients;   // [block][9][LANES]: R g_1, R g_2, R g_3, 1/m
-  std::vector<unsigned char> flags;  // [block][LANES]: bit 0 where s2 + s3 is well above zero, bit 1 where det F <= 0
+  RotationRule rule = RotationRule::FROM_CORNERS;
+  int points = 1;                   // rotations an element: 4 for RotationRule::FOUR_POINTS of quadratic elements
+  AlignedVector<double> matrices;   // [block][points][9][LANES], row-major, world from rest
+  AlignedVector<double> gradients;  // [block][points][9][LANES]: R g_1, R g_2, R g_3, 1/m
+  std::vector<unsigned char>
+      flags;  // [block][points][LANES]: bit 0 where s2 + s3 is well above zero, bit 1: det F <= 0
 
-  Eigen::Matrix3d matrix(int tet) const;
+  Eigen::Matrix3d matrix(int tet, int point = 0) const;
   /** R g_a of the four corners, 3 x 4, 1/m. */
-  Eigen::Matrix<double, 3, 4> gradient(int tet) const;
-  /** How many of the first num_tets elements have det F <= 0. */
+  Eigen::Matrix<double, 3, 4> gradient(int tet, int point = 0) const;
+  /** How many of the first num_tets elements have det F <= 0 at a point where a rotation is taken. */
   int inverted(int num_tets) const;
 };
 
 /** What a new set of rotations says of the step that led to it. */
 struct Turn
 {
-  double angle = 0;  // rad, the largest between before and after of elements whose rotation is unique in both
-  int inverted = 0;  // elements with det F <= 0 of their corners
+  double angle = 0;  // rad, the largest between before and after of rotations that are unique in both
+  int inverted = 0;  // elements with det F <= 0 where a rotation is taken
 };
 
-/** No rotation at all: R = 1, as linear elasticity has it. */
-Rotations restRotations(const Model& model);
+/** No rotation at all: R = 1, as linear elasticity has it. Linear elements have one rule, FROM_CORNERS. */
+Rotations restRotations(const Model& model, RotationRule rule = RotationRule::FROM_CORNERS);
 
 /**
- * Rotations of the corner gradients F = sum_a x_aa g_a^T (Weber et al. 2011, section 5.1), from those before:
- * Newton's method, vectorised over elements, checked for having found the maximum; polarRotation() where it has not.
+ * Rotations of the gradients that before.rule names: of the corners F = sum_a x_aa g_a^T (Weber et al. 2011, section
+ * 5.1), at the centroid, or at four points. Newton's method from those before, vectorised over elements, checked for
+ * having found the maximum; polarRotation() where it has not.
+ * @param turned  scratch, as many numbers as flags
  */
 Turn updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,
                      Rotations& after, AlignedVector<double>& turned);

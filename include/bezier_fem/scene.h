@@ -21,12 +21,22 @@ enum class Element
 enum class Elasticity
 {
   COROTATED,
+  GREEN,  // Green's strain, St. Venant-Kirchhoff
   LINEAR  // small strain, no rotation
+};
+
+/** Where a co-rotated quadratic element takes its rotation from; for linear elements all are the same. */
+enum class RotationRule
+{
+  FROM_CORNERS,   // the gradient of the corner control points (Weber et al. 2011)
+  FROM_CENTROID,  // the gradient at the centroid
+  FOUR_POINTS     // four rotations, at the points of the rule of degree 2 (after Mezger et al. 2008)
 };
 
 enum class Integrator
 {
   IMPLICIT_EULER,
+  EXPLICIT,
   STATIC
 };
 
@@ -74,6 +84,7 @@ struct Scene
 
   Element element = Element::QUADRATIC;
   Elasticity elasticity = Elasticity::COROTATED;
+  RotationRule rotation = RotationRule::FROM_CORNERS;
 
   Material material;
   struct MaterialOverride  // later ones win
@@ -98,6 +109,11 @@ struct Scene
   {
     double tolerance = 1e-4;
     int max_iterations = 500;
+    enum class Operator
+    {
+      MATRIX_FREE,
+      ASSEMBLED
+    } system_operator = Operator::MATRIX_FREE;
   } solver;
 
   struct Initial

@@ -29,6 +29,7 @@ struct StepSettings
 {
   double time_step;  // s
   Elasticity elasticity;
+  RotationRule rotation;
   Scene::Damping damping;
   Eigen::Vector3d gravity;  // m/s^2
   Scene::Solver solver;
@@ -48,7 +49,7 @@ struct StepReport
 {
   int substeps = 1;       // 1: exactly one lagged step
   double turn = 0;        // rad: the largest angle that an element turned by in an accepted (sub-)step
-  int inverted = 0;       // elements that end with det F <= 0 of their corners (co-rotated elasticity only)
+  int inverted = 0;       // elements that end with det F <= 0 where a rotation is taken (co-rotated elasticity only)
   int iterations = 0;     // of the linear solver, in all
   double residual = 0;    // worst (sub-)step, relative, as the tolerance measures it
   bool converged = true;  // every residual within the tolerance
@@ -59,7 +60,7 @@ struct StepReport
 /** Scratch memory of the steps of one body, and what they remember of each other to start from. */
 struct Workspace
 {
-  Workspace(const Model& model, int threads);
+  Workspace(const Model& model, const StepSettings& settings, int threads);
 
   /** To be called when the state was not made by the last step. */
   void forgetHistory() { history = 0; }

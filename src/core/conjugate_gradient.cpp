@@ -56,12 +56,10 @@ double ConjugateGradient::sumOverThreads(const Partition& partition, const F& f)
   return sum;
 }
 
-void ConjugateGradient::prepare(const Model& model, const Partition& partition, const Rotations& rotations,
-                                const HeldAxes& held, double alpha, double beta, double load_floor)
+void ConjugateGradient::prepare(const SystemOperator& system, const Model& model, const Partition& partition,
+                                const HeldAxes& held, double load_floor)
 {
-  alpha_ = alpha;
-  beta_ = beta;
-  systemDiagonal(model, partition, rotations, alpha, beta, diagonal_);
+  system.diagonal(diagonal_);
   const double sum = sumOverThreads(partition, [&](int begin, int end) {
     double floor2 = 0;
     for (int i = begin; i < end; ++i)
@@ -92,8 +90,8 @@ double ConjugateGradient::norm(const Partition& partition, const NodalField& r)
   }));
 }
 
-SolveReport ConjugateGradient::solve(const Model& model, const Partition& partition, const Rotations& rotations,
-                                     const NodalField& b, NodalField& u, double tolerance, int max_iterations)
+SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partition& partition, const NodalField& b,
+                                     NodalField& u, double tolerance, int max_iterations)
 {
   const kernels::Table& kernel = kernels::table();
   const double scale = std::max(norm(partition, b), floor_);
@@ -102,7 +100,7 @@ SolveReport ConjugateGradient::solve(const Model& model, const Partition& partit
   {
     // Nothing is free, or nothing is finite.
     u.setZero();
-    r_.matrix().leftCols(model.num_nodes) = b.matrix().leftCols(model.num_nodes);
+    r_.matrix().leftCols(u.size()) = b.matrix().leftCols(u.size());
     report.converged = scale == 0;
     report.residual = scale;
     return report;
@@ -110,7 +108,7 @@ SolveReport ConjugateGradient::solve(const Model& model, const Partition& partit
   bool may_restart = true;
   while (true)
   {
-    systemProduct(model, partition, rotations, alpha_, beta_, u, q_);
+    system.product(u, q_);
     forEachThread(partition, [&](int t) {
       const int begin = partition.nodeBegin(t), count = partition.nodeEnd(t) - begin;
       r_.matrix().middleCols(begin, count) = b.matrix().middleCols(begin, count) - q_.matrix().middleCols(begin, count);
@@ -136,7 +134,7 @@ SolveReport ConjugateGradient::solve(const Model& model, const Partition& partit
     const double target = tolerance * scale;
     while (report.iterations < max_iterations)
     {
-      systemProduct(model, partition, rotations, alpha_, beta_, p_, q_);
+      system.product(p_, q_);
       const double curvature =
           sumOverThreads(partition, [&](int begin, int end) { return kernel.dot(begin, end, p_.data(), q_.data()); });
       ++report.iterations;

@@ -9,9 +9,10 @@ namespace bezier_fem
 {
 namespace
 {
-kernels::Elements elementsOf(const Model& model, const Partition& partition)
+kernels::Elements elementsOf(const Model& model, const Partition& partition, const Rotations& rotations)
 {
-  return {model.nodes_per_tet, model.block_nodes.data(), partition.scatter(), model.block_coefficients.data()};
+  return {model.nodes_per_tet, rotations.points, model.block_nodes.data(), partition.scatter(),
+          model.block_coefficients.data()};
 }
 
 /** Clears `rows` rows, runs the element loop, adds the ghosts. */
@@ -28,8 +29,8 @@ void elasticForce(const Model& model, const Partition& partition, const Rotation
                   NodalField& out)
 {
   accumulate(partition, out.data(), 4, [&](int begin, int end) {
-    kernels::table().add_force(elementsOf(model, partition), begin, end, rotations.gradients.data(), x.data(),
-                               out.data());
+    kernels::table().add_force(elementsOf(model, partition, rotations), begin, end, rotations.gradients.data(),
+                               x.data(), out.data());
   });
 }
 
@@ -37,8 +38,8 @@ void systemProduct(const Model& model, const Partition& partition, const Rotatio
                    double beta, const NodalField& u, NodalField& out)
 {
   accumulate(partition, out.data(), 4, [&](int begin, int end) {
-    kernels::table().add_product(elementsOf(model, partition), begin, end, rotations.gradients.data(), alpha, beta,
-                                 u.data(), out.data());
+    kernels::table().add_product(elementsOf(model, partition, rotations), begin, end, rotations.gradients.data(), alpha,
+                                 beta, u.data(), out.data());
   });
 }
 
@@ -46,8 +47,8 @@ void systemDiagonal(const Model& model, const Partition& partition, const Rotati
                     double beta, AlignedVector<double>& blocks)
 {
   accumulate(partition, blocks.data(), kernels::DIAGONAL_STRIDE, [&](int begin, int end) {
-    kernels::table().add_diagonal(elementsOf(model, partition), begin, end, rotations.gradients.data(), alpha, beta,
-                                  blocks.data());
+    kernels::table().add_diagonal(elementsOf(model, partition, rotations), begin, end, rotations.gradients.data(),
+                                  alpha, beta, blocks.data());
   });
 }
 

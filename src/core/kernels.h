@@ -21,12 +21,27 @@ constexpr int INVERSE_STRIDE = 12;
 struct Elements
 {
   int nodes_per_tet;           // 4 or 10
+  int points;                  // rotations an element: 1, or 4 of a quadratic one
   const int* gather;           // [block][node][LANES]: where a node's value is read
   const int* scatter;          // the same shape: where it is added
   const double* coefficients;  // [block][3][LANES]: V lambda_L, V mu, V rho
 };
 
-/** Bits that update_rotations() sets for an element. */
+/**
+ * Barycentric coordinates of the four points of the rule of degree 2 (Hammer and Stroud 1956): NEAR to the corner of
+ * the same number, FAR from the others; (5 + 3 sqrt 5)/20 and (5 - sqrt 5)/20, each with a quarter of the volume.
+ */
+constexpr double NEAR = 0.58541019662496845446, FAR = 0.13819660112501051518;
+
+/** What update_rotations() takes rotations of. */
+enum class Gradient
+{
+  OF_CORNERS,
+  AT_CENTROID,
+  AT_FOUR_POINTS
+};
+
+/** Bits that update_rotations() sets for a rotation. */
 enum RotationFlag : unsigned char
 {
   UNIQUE = 1,   // converged, and certified as the maximum with a margin; otherwise the result is to be made anew
@@ -38,17 +53,17 @@ struct Table
   const char* name;
 
   /**
-   * Rotations R of the corner gradients F = sum_a x_aa g_a^T and the rotated gradients R g_1, R g_2, R g_3, for
-   * blocks [begin, end).
+   * Rotations R of gradients F and the rotated gradients R g_1, R g_2, R g_3, for blocks [begin, end).
    * @param gradients  [block][9][LANES], of the rest shape
-   * @param before     [block][9][LANES], start values, row-major 3x3
-   * @param after      [block][9][LANES], result
-   * @param rotated    [block][9][LANES], result
-   * @param turned     [block][LANES], |after - before|_F^2 = 8 sin^2(angle/2), result
-   * @param flags      [block][LANES], result, RotationFlag bits
+   * @param before     [block][points][9][LANES], start values, row-major 3x3
+   * @param after      [block][points][9][LANES], result
+   * @param rotated    [block][points][9][LANES], result
+   * @param turned     [block][points][LANES], |after - before|_F^2 = 8 sin^2(angle/2), result
+   * @param flags      [block][points][LANES], result, RotationFlag bits
    */
-  void (*update_rotations)(const Elements& elements, int begin, int end, const double* gradients, const double* x,
-                           const double* before, double* after, double* rotated, double* turned, unsigned char* flags);
+  void (*update_rotations)(const Elements& elements, Gradient gradient, int begin, int end, const double* gradients,
+                           const double* x, const double* before, double* after, double* rotated, double* turned,
+                           unsigned char* flags);
 
   /** y += (alpha M + beta K') u over blocks [begin, end). */
   void (*add_product)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,

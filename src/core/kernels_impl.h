@@ -160,19 +160,30 @@ inline Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, con
 /** Local control point (a,b); bernstein.h has the same table for the rest of the library. */
 constexpr int POINT[4][4] = {{0, 4, 5, 6}, {4, 1, 7, 8}, {5, 7, 2, 9}, {6, 8, 9, 3}};
 
-/** f = K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V. */
-template <int NODES>
-inline void elasticForce(const RotatedGradients& g, const Vec3* u, double identity, Vec lambda, Vec mu, Vec3* f)
+/** The sum of the points (c,d) over c. */
+inline Vec3 columnSum(const Vec3* u, int d)
+{
+  return u[POINT[0][d]] + u[POINT[1][d]] + u[POINT[2][d]] + u[POINT[3][d]];
+}
+
+/**
+ * f = K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V.
+ * @param rotated  rotated gradients, POINTS times 9 rows of LANES
+ */
+template <int NODES, int POINTS>
+inline void elasticForce(const double* rotated, const Vec3* u, double identity, Vec lambda, Vec mu, Vec3* f)
 {
   if constexpr (NODES == 4)
   {
+    const RotatedGradients g = loadGradients(rotated);
     const Sym s = stress(g, u[1] - u[0], u[2] - u[0], u[3] - u[0], identity, lambda, mu);
     for (int a = 0; a < 4; ++a) f[a] = s * g.r[a];
   }
-  else
+  else if constexpr (POINTS == 1)
   {
     // F_c = 2 sum_d x_cd g_d^T; Q_a = V/20 (s_a + sum_c s_c); the factors 2 of F_c and of f are put together: stress()
     // works on half the strain, with half the identity, and 2 * 2 / 20 = 1/5 goes to lambda and mu.
+    const RotatedGradients g = loadGradients(rotated);
     lambda = lambda * 0.2;
     mu = mu * 0.2;
     Sym q[4];
@@ -188,6 +199,33 @@ inline void elasticForce(const RotatedGradients& g, const Vec3* u, double identi
     {
       f[a] = q[a] * g.r[a];
       for (int b = a + 1; b < 4; ++b) f[POINT[a][b]] = q[a] * g.r[b] + q[b] * g.r[a];
+    }
+  }
+  else
+  {
+    // At point q, F = 2 sum_d z_d g_d^T with z_d = sum_c lambda_c x_cd, and with t_d = s R g_d a quarter of V times
+    // 2 (lambda_a t_b + lambda_b t_a) goes to f_ab. Again half the strain; 2 * 2 / 4 = 1.
+    const Vec far = Vec{} + FAR, above = Vec{} + (NEAR - FAR);
+    Vec3 sum[4], t[4][4], total[4] = {};
+    for (int d = 0; d < 4; ++d) sum[d] = far * columnSum(u, d);
+    for (int q = 0; q < 4; ++q)
+    {
+      const RotatedGradients g = loadGradients(rotated + 9L * q * LANES);
+      Vec3 z[4];
+      for (int d = 0; d < 4; ++d) z[d] = sum[d] + above * u[POINT[q][d]];
+      const Sym s = stress(g, z[1] - z[0], z[2] - z[0], z[3] - z[0], 0.5 * identity, lambda, mu);
+      for (int d = 0; d < 4; ++d)
+      {
+        t[q][d] = s * g.r[d];
+        total[d] = total[d] + t[q][d];
+        t[q][d] = above * t[q][d];
+      }
+    }
+    for (int d = 0; d < 4; ++d) total[d] = far * total[d];
+    for (int a = 0; a < 4; ++a)
+    {
+      f[a] = t[a][a] + total[a];
+      for (int b = a + 1; b < 4; ++b) f[POINT[a][b]] = t[a][b] + t[b][a] + total[a] + total[b];
     }
   }
 }
@@ -232,30 +270,30 @@ inline void forEachElement(const Elements& elements, int begin, int end, const d
       const double* c = elements.coefficients + 3L * block * LANES + part;
       Vec3 in[NODES], out[NODES];
       for (int k = 0; k < NODES; ++k) in[k] = gather(x, elements.gather + at + static_cast<long>(k) * LANES);
-      element(loadGradients(rotated + 9L * block * LANES + part), in, load(c), load(c + LANES), load(c + 2L * LANES),
-              out);
+      element(rotated + static_cast<long>(block) * elements.points * 9 * LANES + part, in, load(c), load(c + LANES),
+              load(c + 2L * LANES), out);
       for (int k = 0; k < NODES; ++k) scatterAdd(y, elements.scatter + at + static_cast<long>(k) * LANES, out[k]);
     }
   }
 }
 
-template <int NODES>
+template <int NODES, int POINTS>
 void addProduct(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                 const double* u, double* y)
 {
   forEachElement<NODES>(elements, begin, end, rotated, u, y,
-                        [&](const RotatedGradients& g, const Vec3* in, Vec lambda, Vec mu, Vec mass, Vec3* out) {
-                          elasticForce<NODES>(g, in, 0, beta * lambda, beta * mu, out);
+                        [&](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec mass, Vec3* out) {
+                          elasticForce<NODES, POINTS>(g, in, 0, beta * lambda, beta * mu, out);
                           addMass<NODES>(in, alpha * mass, out);
                         });
 }
 
-template <int NODES>
+template <int NODES, int POINTS>
 void addForce(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y)
 {
   forEachElement<NODES>(elements, begin, end, rotated, x, y,
-                        [](const RotatedGradients& g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec3* out) {
-                          elasticForce<NODES>(g, in, 1, lambda, mu, out);
+                        [](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec3* out) {
+                          elasticForce<NODES, POINTS>(g, in, 1, lambda, mu, out);
                         });
 }
 
@@ -290,7 +328,30 @@ inline Sym operator*(Vec s, const Sym& m)
   return {s * m.xx, s * m.xy, s * m.xz, s * m.yy, s * m.yz, s * m.zz};
 }
 
-template <int NODES>
+inline void addDiagonalOfFour(double* d, const int* to, const double* rotated, Vec lambda, Vec mu, Vec mass)
+{
+  RotatedGradients g[4];
+  for (int q = 0; q < 4; ++q) g[q] = loadGradients(rotated + 9L * q * LANES);
+  const Vec half = Vec{} + 0.5;
+  for (int a = 0; a < 4; ++a)
+  {
+    for (int b = a; b < 4; ++b)
+    {
+      // V/4 times the sum of H_hh, h = 2 (lambda_a r_b + lambda_b r_a), halved where a = b; symmetricH() is 2 H.
+      Sym sum = {};
+      for (int q = 0; q < 4; ++q)
+      {
+        const Vec to_b = Vec{} + (q == a ? NEAR : FAR), to_a = Vec{} + (q == b ? NEAR : FAR);
+        const Vec3 h = a == b ? to_b * g[q].r[a] : to_b * g[q].r[b] + to_a * g[q].r[a];
+        sum = sum + symmetricH(h, h, lambda, mu);
+      }
+      scatterDiagonal(d, to + static_cast<long>(POINT[a][b]) * LANES, half * sum,
+                      mass * (a == b ? 1.0 / 35 : 2.0 / 105));
+    }
+  }
+}
+
+template <int NODES, int POINTS>
 void addDiagonal(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                  double* d)
 {
@@ -300,8 +361,14 @@ void addDiagonal(const Elements& elements, int begin, int end, const double* rot
     {
       const int* to = elements.scatter + static_cast<long>(block) * NODES * LANES + part;
       const double* c = elements.coefficients + 3L * block * LANES + part;
-      const RotatedGradients g = loadGradients(rotated + 9L * block * LANES + part);
       const Vec lambda = beta * load(c), mu = beta * load(c + LANES), mass = alpha * load(c + 2L * LANES);
+      const double* own = rotated + static_cast<long>(block) * POINTS * 9 * LANES + part;
+      if constexpr (POINTS == 4)
+      {
+        addDiagonalOfFour(d, to, own, lambda, mu, mass);
+        continue;
+      }
+      const RotatedGradients g = loadGradients(own);
       Sym h[4];  // 2 H_aa
       for (int a = 0; a < 4; ++a) h[a] = symmetricH(g.r[a], g.r[a], lambda, mu);
       if constexpr (NODES == 4)
@@ -375,112 +442,143 @@ inline bool anyAbove(Vec v, double bound)
   return false;
 }
 
+/** The rotation of F = sum_d y_d g_d^T; see Table::update_rotations(). */
+inline void rotate(const Vec3* y, const RotatedGradients& g, const double* before, double* after, double* rotated,
+                   double* turned, unsigned char* flags)
+{
+  constexpr int MAX_NEWTON_STEPS = 8;
+  Mat f;
+  for (auto& row : f.m)
+  {
+    for (Vec& v : row) v = Vec{};
+  }
+  for (int a = 1; a < 4; ++a)
+  {
+    const Vec3 d = y[a] - y[0];
+    const Vec column[3] = {d.x, d.y, d.z}, row[3] = {g.r[a].x, g.r[a].y, g.r[a].z};
+    for (int i = 0; i < 3; ++i)
+    {
+      for (int j = 0; j < 3; ++j) f.m[i][j] += column[i] * row[j];
+    }
+  }
+
+  // Newton's method for the maximum of tr(R^T F) over rotations: with S = R^T F and H = tr(S) 1 - sym(S), the
+  // correction is R exp(w), H w = axial(S - S^T). A maximum has H positive definite, and there is one only.
+  const Mat start = loadMatrix(before);
+  Mat r = start;
+  Vec certified = Vec{};
+  for (int step = 0; step < MAX_NEWTON_STEPS; ++step)
+  {
+    const Mat s = transposeTimes(r, f);
+    const Vec trace = s.m[0][0] + s.m[1][1] + s.m[2][2];
+    const Vec hxx = trace - s.m[0][0], hyy = trace - s.m[1][1], hzz = trace - s.m[2][2];
+    const Vec hxy = -0.5 * (s.m[0][1] + s.m[1][0]), hxz = -0.5 * (s.m[0][2] + s.m[2][0]);
+    const Vec hyz = -0.5 * (s.m[1][2] + s.m[2][1]);
+    const Vec ax = s.m[2][1] - s.m[1][2], ay = s.m[0][2] - s.m[2][0], az = s.m[1][0] - s.m[0][1];
+    // adj(H), symmetric
+    const Vec cxx = hyy * hzz - hyz * hyz, cxy = hxz * hyz - hxy * hzz, cxz = hxy * hyz - hxz * hyy;
+    const Vec cyy = hxx * hzz - hxz * hxz, cyz = hxy * hxz - hxx * hyz, czz = hxx * hyy - hxy * hxy;
+    const Vec det = hxx * cxx + hxy * cxy + hxz * cxz;
+    // Positive definite with a margin: the product of the eigenvalues against the cube of their sum. And more than
+    // the rounding noise of an element that is no larger than a point.
+    const Vec sum = hxx + hyy + hzz;
+    const auto well = (hxx > 0) & (czz > 0) & (det > 4e-3 * sum * sum * sum) & (sum > 1e-5);
+    certified = well ? Vec{} + 1 : Vec{};
+    const Vec scale = 1 / (det != 0 ? det : Vec{} + 1);
+    Vec wx = scale * (cxx * ax + cxy * ay + cxz * az);
+    Vec wy = scale * (cxy * ax + cyy * ay + cyz * az);
+    Vec wz = scale * (cxz * ax + cyz * ay + czz * az);
+    const Vec size2 = wx * wx + wy * wy + wz * wz;
+    // In a plane, w is the tangent of the angle that is missing; half that angle's tangent goes to Cayley's map.
+    const Vec shrink = 1 / (1 + squareRoot(1 + size2));
+    wx *= shrink;
+    wy *= shrink;
+    wz *= shrink;
+    const Vec two = 2 / (1 + wx * wx + wy * wy + wz * wz);
+    Mat q;
+    q.m[0][0] = 1 - two * (wy * wy + wz * wz);
+    q.m[0][1] = two * (wx * wy - wz);
+    q.m[0][2] = two * (wx * wz + wy);
+    q.m[1][0] = two * (wx * wy + wz);
+    q.m[1][1] = 1 - two * (wx * wx + wz * wz);
+    q.m[1][2] = two * (wy * wz - wx);
+    q.m[2][0] = two * (wx * wz - wy);
+    q.m[2][1] = two * (wy * wz + wx);
+    q.m[2][2] = 1 - two * (wx * wx + wy * wy);
+    r = r * q;
+    // Convergence is cubic: a correction of 1e-5 leaves an error of rounding size.
+    certified = size2 < 1e-10 ? certified : Vec{};
+    if (!anyAbove(size2, 1e-10)) break;
+  }
+  // One Newton-Schulz step, so that rounding does not add up over millions of steps.
+  Mat correction = transposeTimes(r, r);
+  for (int i = 0; i < 3; ++i)
+  {
+    for (int j = 0; j < 3; ++j) correction.m[i][j] = (i == j ? 1.5 : 0.0) - 0.5 * correction.m[i][j];
+  }
+  r = r * correction;
+
+  Vec change = Vec{};
+  for (int k = 0; k < 9; ++k)
+  {
+    const Vec d = r.m[k / 3][k % 3] - start.m[k / 3][k % 3];
+    change += d * d;
+    store(after + static_cast<long>(k) * LANES, r.m[k / 3][k % 3]);
+  }
+  store(turned, change);
+  for (int a = 0; a < 3; ++a)
+  {
+    const Vec3& v = g.r[a + 1];
+    for (int i = 0; i < 3; ++i)
+    {
+      store(rotated + (3L * a + i) * LANES, r.m[i][0] * v.x + r.m[i][1] * v.y + r.m[i][2] * v.z);
+    }
+  }
+  const Vec det = f.m[0][0] * (f.m[1][1] * f.m[2][2] - f.m[1][2] * f.m[2][1]) +
+                  f.m[0][1] * (f.m[1][2] * f.m[2][0] - f.m[1][0] * f.m[2][2]) +
+                  f.m[0][2] * (f.m[1][0] * f.m[2][1] - f.m[1][1] * f.m[2][0]);
+  for (int k = 0; k < WIDTH; ++k)
+  {
+    flags[k] = static_cast<unsigned char>((certified[k] > 0 ? UNIQUE : 0) | (det[k] > 0 ? 0 : INVERTED));
+  }
+}
+
+template <Gradient GRADIENT>
 void updateRotations(const Elements& elements, int begin, int end, const double* gradients, const double* x,
                      const double* before, double* after, double* rotated, double* turned, unsigned char* flags)
 {
-  constexpr int MAX_NEWTON_STEPS = 8;
+  constexpr int POINTS = GRADIENT == Gradient::AT_FOUR_POINTS ? 4 : 1;
+  constexpr int NODES = GRADIENT == Gradient::OF_CORNERS ? 4 : 10;
   const long nodes = elements.nodes_per_tet;
   for (int block = begin; block < end; ++block)
   {
     for (int part = 0; part < LANES; part += WIDTH)
     {
       const int* from = elements.gather + block * nodes * LANES + part;
-      const Vec3 origin = gather(x, from);
       const RotatedGradients g = loadGradients(gradients + 9L * block * LANES + part);
-      Mat f;
-      for (auto& row : f.m)
+      Vec3 u[NODES];
+      for (int k = 0; k < NODES; ++k) u[k] = gather(x, from + static_cast<long>(k) * LANES);
+      for (int q = 0; q < POINTS; ++q)
       {
-        for (Vec& v : row) v = Vec{};
-      }
-      for (int a = 1; a < 4; ++a)
-      {
-        const Vec3 d = gather(x, from + static_cast<long>(a) * LANES) - origin;
-        const Vec column[3] = {d.x, d.y, d.z}, row[3] = {g.r[a].x, g.r[a].y, g.r[a].z};
-        for (int i = 0; i < 3; ++i)
+        Vec3 y[4];
+        for (int d = 0; d < 4; ++d)
         {
-          for (int j = 0; j < 3; ++j) f.m[i][j] += column[i] * row[j];
+          if constexpr (GRADIENT == Gradient::OF_CORNERS)
+          {
+            y[d] = u[d];
+          }
+          else if constexpr (GRADIENT == Gradient::AT_CENTROID)
+          {
+            y[d] = (Vec{} + 0.5) * columnSum(u, d);
+          }
+          else
+          {
+            y[d] = (Vec{} + 2 * FAR) * columnSum(u, d) + (Vec{} + 2 * (NEAR - FAR)) * u[POINT[q][d]];
+          }
         }
-      }
-
-      // Newton's method for the maximum of tr(R^T F) over rotations: with S = R^T F and H = tr(S) 1 - sym(S), the
-      // correction is R exp(w), H w = axial(S - S^T). A maximum has H positive definite, and there is one only.
-      const Mat start = loadMatrix(before + 9L * block * LANES + part);
-      Mat r = start;
-      Vec certified = Vec{};
-      for (int step = 0; step < MAX_NEWTON_STEPS; ++step)
-      {
-        const Mat s = transposeTimes(r, f);
-        const Vec trace = s.m[0][0] + s.m[1][1] + s.m[2][2];
-        const Vec hxx = trace - s.m[0][0], hyy = trace - s.m[1][1], hzz = trace - s.m[2][2];
-        const Vec hxy = -0.5 * (s.m[0][1] + s.m[1][0]), hxz = -0.5 * (s.m[0][2] + s.m[2][0]);
-        const Vec hyz = -0.5 * (s.m[1][2] + s.m[2][1]);
-        const Vec ax = s.m[2][1] - s.m[1][2], ay = s.m[0][2] - s.m[2][0], az = s.m[1][0] - s.m[0][1];
-        // adj(H), symmetric
-        const Vec cxx = hyy * hzz - hyz * hyz, cxy = hxz * hyz - hxy * hzz, cxz = hxy * hyz - hxz * hyy;
-        const Vec cyy = hxx * hzz - hxz * hxz, cyz = hxy * hxz - hxx * hyz, czz = hxx * hyy - hxy * hxy;
-        const Vec det = hxx * cxx + hxy * cxy + hxz * cxz;
-        // Positive definite with a margin: the product of the eigenvalues against the cube of their sum. And more than
-        // the rounding noise of an element that is no larger than a point.
-        const Vec sum = hxx + hyy + hzz;
-        const auto well = (hxx > 0) & (czz > 0) & (det > 4e-3 * sum * sum * sum) & (sum > 1e-5);
-        certified = well ? Vec{} + 1 : Vec{};
-        const Vec scale = 1 / (det != 0 ? det : Vec{} + 1);
-        Vec wx = scale * (cxx * ax + cxy * ay + cxz * az);
-        Vec wy = scale * (cxy * ax + cyy * ay + cyz * az);
-        Vec wz = scale * (cxz * ax + cyz * ay + czz * az);
-        const Vec size2 = wx * wx + wy * wy + wz * wz;
-        // In a plane, w is the tangent of the angle that is missing; half that angle's tangent goes to Cayley's map.
-        const Vec shrink = 1 / (1 + squareRoot(1 + size2));
-        wx *= shrink;
-        wy *= shrink;
-        wz *= shrink;
-        const Vec two = 2 / (1 + wx * wx + wy * wy + wz * wz);
-        Mat q;
-        q.m[0][0] = 1 - two * (wy * wy + wz * wz);
-        q.m[0][1] = two * (wx * wy - wz);
-        q.m[0][2] = two * (wx * wz + wy);
-        q.m[1][0] = two * (wx * wy + wz);
-        q.m[1][1] = 1 - two * (wx * wx + wz * wz);
-        q.m[1][2] = two * (wy * wz - wx);
-        q.m[2][0] = two * (wx * wz - wy);
-        q.m[2][1] = two * (wy * wz + wx);
-        q.m[2][2] = 1 - two * (wx * wx + wy * wy);
-        r = r * q;
-        // Convergence is cubic: a correction of 1e-5 leaves an error of rounding size.
-        certified = size2 < 1e-10 ? certified : Vec{};
-        if (!anyAbove(size2, 1e-10)) break;
-      }
-      // One Newton-Schulz step, so that rounding does not add up over millions of steps.
-      Mat correction = transposeTimes(r, r);
-      for (int i = 0; i < 3; ++i)
-      {
-        for (int j = 0; j < 3; ++j) correction.m[i][j] = (i == j ? 1.5 : 0.0) - 0.5 * correction.m[i][j];
-      }
-      r = r * correction;
-
-      Vec change = Vec{};
-      for (int k = 0; k < 9; ++k)
-      {
-        const Vec d = r.m[k / 3][k % 3] - start.m[k / 3][k % 3];
-        change += d * d;
-        store(after + (9L * block + k) * LANES + part, r.m[k / 3][k % 3]);
-      }
-      store(turned + static_cast<long>(block) * LANES + part, change);
-      for (int a = 0; a < 3; ++a)
-      {
-        const Vec3& v = g.r[a + 1];
-        for (int i = 0; i < 3; ++i)
-        {
-          store(rotated + (9L * block + 3 * a + i) * LANES + part, r.m[i][0] * v.x + r.m[i][1] * v.y + r.m[i][2] * v.z);
-        }
-      }
-      const Vec det = f.m[0][0] * (f.m[1][1] * f.m[2][2] - f.m[1][2] * f.m[2][1]) +
-                      f.m[0][1] * (f.m[1][2] * f.m[2][0] - f.m[1][0] * f.m[2][2]) +
-                      f.m[0][2] * (f.m[1][0] * f.m[2][1] - f.m[1][1] * f.m[2][0]);
-      for (int k = 0; k < WIDTH; ++k)
-      {
-        flags[static_cast<long>(block) * LANES + part + k] =
-            static_cast<unsigned char>((certified[k] > 0 ? UNIQUE : 0) | (det[k] > 0 ? 0 : INVERTED));
+        const long at = (static_cast<long>(block) * POINTS + q) * LANES;
+        rotate(y, g, before + 9 * at + part, after + 9 * at + part, rotated + 9 * at + part, turned + at + part,
+               flags + at + part);
       }
     }
   }
@@ -522,25 +620,45 @@ void redirect(int begin, int end, double b, const double* z, double* p)
   for (int i = begin; i < end; ++i) *reinterpret_cast<Node*>(p + 4L * i) = loadNode(z, i) + b * loadNode(p, i);
 }
 
+void updateRotationsAny(const Elements& elements, Gradient gradient, int begin, int end, const double* gradients,
+                        const double* x, const double* before, double* after, double* rotated, double* turned,
+                        unsigned char* flags)
+{
+  const auto update = gradient == Gradient::OF_CORNERS    ? updateRotations<Gradient::OF_CORNERS>
+                      : gradient == Gradient::AT_CENTROID ? updateRotations<Gradient::AT_CENTROID>
+                                                          : updateRotations<Gradient::AT_FOUR_POINTS>;
+  update(elements, begin, end, gradients, x, before, after, rotated, turned, flags);
+}
+
 void addProductAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                    const double* u, double* y)
 {
-  (elements.nodes_per_tet == 4 ? addProduct<4> : addProduct<10>)(elements, begin, end, rotated, alpha, beta, u, y);
+  const auto add = elements.nodes_per_tet == 4 ? addProduct<4, 1>
+                   : elements.points == 1      ? addProduct<10, 1>
+                                               : addProduct<10, 4>;
+  add(elements, begin, end, rotated, alpha, beta, u, y);
 }
 
 void addForceAny(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y)
 {
-  (elements.nodes_per_tet == 4 ? addForce<4> : addForce<10>)(elements, begin, end, rotated, x, y);
+  const auto add = elements.nodes_per_tet == 4 ? addForce<4, 1>
+                   : elements.points == 1      ? addForce<10, 1>
+                                               : addForce<10, 4>;
+  add(elements, begin, end, rotated, x, y);
 }
 
 void addDiagonalAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                     double* d)
 {
-  (elements.nodes_per_tet == 4 ? addDiagonal<4> : addDiagonal<10>)(elements, begin, end, rotated, alpha, beta, d);
+  const auto add = elements.nodes_per_tet == 4 ? addDiagonal<4, 1>
+                   : elements.points == 1      ? addDiagonal<10, 1>
+                                               : addDiagonal<10, 4>;
+  add(elements, begin, end, rotated, alpha, beta, d);
 }
 }  // namespace
 
 extern const Table TABLE;
-const Table TABLE = {TABLE_NAME, updateRotations, addProductAny, addForceAny, addDiagonalAny, dot, advance, redirect};
+const Table TABLE = {TABLE_NAME, updateRotationsAny, addProductAny, addForceAny, addDiagonalAny, dot, advance,
+                     redirect};
 
 }  // namespace bezier_fem::kernels

@@ -1,7 +1,10 @@
 #include "bezier_fem/measures.h"
 
 #include <Eigen/Dense>
+#include <array>
 #include <cmath>
+
+#include "kernels.h"
 
 namespace bezier_fem
 {
@@ -9,11 +12,11 @@ namespace
 {
 using Strain = Eigen::Matrix3d;
 
-/** Co-rotated strain at corner c of an element, world axes; the same at every corner of a linear element. */
-Strain cornerStrain(const Model& model, const Rotations& rotations, const NodalField& x, int tet, int c)
+/** Co-rotated strain of the gradient at corner c of an element, turned by its rotation `point`, world axes. */
+Strain cornerStrain(const Model& model, const Rotations& rotations, const NodalField& x, int tet, int c, int point)
 {
   const int* nodes = model.nodesOf(tet);
-  const auto r = rotations.gradient(tet);
+  const auto r = rotations.gradient(tet, point);
   const int origin = model.quadratic() ? CONTROL_POINT[c][0] : 0;
   const double factor = model.quadratic() ? 2 : 1;
   Eigen::Matrix3d gradient = Eigen::Matrix3d::Zero();
@@ -23,6 +26,32 @@ Strain cornerStrain(const Model& model, const Rotations& rotations, const NodalF
     gradient += factor * (x[nodes[node]] - x[nodes[origin]]) * r.col(d).transpose();
   }
   return (gradient + gradient.transpose()) / 2 - Eigen::Matrix3d::Identity();
+}
+
+/**
+ * Co-rotated strain at the four corners of an element, world axes; linear in between. Four rotations give it at their
+ * points: it is the linear function through those.
+ */
+std::array<Strain, CORNERS> cornerStrains(const Model& model, const Rotations& rotations, const NodalField& x, int tet)
+{
+  std::array<Strain, CORNERS> strains;
+  if (rotations.points == 1)
+  {
+    for (int c = 0; c < CORNERS; ++c) strains[c] = cornerStrain(model, rotations, x, tet, c, 0);
+    return strains;
+  }
+  Strain sum = Strain::Zero();
+  for (int q = 0; q < CORNERS; ++q)
+  {
+    strains[q].setZero();
+    for (int c = 0; c < CORNERS; ++c)
+    {
+      strains[q] += (c == q ? kernels::NEAR : kernels::FAR) * cornerStrain(model, rotations, x, tet, c, q);
+    }
+    sum += strains[q];
+  }
+  for (Strain& strain : strains) strain = (strain - kernels::FAR * sum) / (kernels::NEAR - kernels::FAR);
+  return strains;
 }
 
 Eigen::Matrix3d stressOf(const Material& material, const Strain& strain)
@@ -49,12 +78,9 @@ double vonMises(const Stress& s)
 
 Stress stressAt(const Model& model, const Rotations& rotations, const NodalField& x, const MaterialPoint& point)
 {
-  Strain strain = cornerStrain(model, rotations, x, point.tet, 0);
-  if (model.quadratic())
-  {
-    strain *= point.lambda[0];
-    for (int c = 1; c < CORNERS; ++c) strain += point.lambda[c] * cornerStrain(model, rotations, x, point.tet, c);
-  }
+  const std::array<Strain, CORNERS> corners = cornerStrains(model, rotations, x, point.tet);
+  Strain strain = Strain::Zero();
+  for (int c = 0; c < CORNERS; ++c) strain += point.lambda[c] * corners[c];
   return toVector(stressOf(model.materials[point.tet], strain));
 }
 
@@ -66,10 +92,11 @@ Eigen::Matrix<double, 6, Eigen::Dynamic> nodalStress(const Model& model, const R
   for (int t = 0; t < model.num_tets; ++t)
   {
     const int* nodes = model.nodesOf(t);
+    const std::array<Strain, CORNERS> strains = cornerStrains(model, rotations, x, t);
     std::array<Stress, CORNERS> corner;
     for (int c = 0; c < CORNERS; ++c)
     {
-      corner[c] = toVector(stressOf(model.materials[t], cornerStrain(model, rotations, x, t, c)));
+      corner[c] = toVector(stressOf(model.materials[t], strains[c]));
       sum.col(nodes[c]) += corner[c];
     }
     for (int e = 0; model.quadratic() && e < EDGES; ++e)
@@ -137,9 +164,8 @@ double elasticEnergy(const Model& model, const Rotations& rotations, const Nodal
     // Strain and stress are linear in between the corners: integral of lambda_a lambda_b = V (1 + delta_ab)/20.
     Strain strain_sum = Strain::Zero();
     double squares = 0;
-    for (int c = 0; c < CORNERS; ++c)
+    for (const Strain& strain : cornerStrains(model, rotations, x, t))
     {
-      const Strain strain = cornerStrain(model, rotations, x, t, c);
       strain_sum += strain;
       squares += strain.cwiseProduct(stressOf(model.materials[t], strain)).sum();
     }

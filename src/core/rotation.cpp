@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "kernels.h"
@@ -19,15 +20,21 @@ constexpr double SAME = 1e-6;
 /** Below this margin an element's rotation may jump, so that its change says nothing about the length of the step. */
 constexpr double UNIQUE_MARGIN = 0.1;
 
-std::size_t offset(int tet, int entries)
+/** A slot is a lane of a row of LANES: element `slot` of one point each, or [block][point][lane] of several. */
+std::size_t offset(int slot)
 {
-  return (static_cast<std::size_t>(tet / LANES) * entries) * LANES + tet % LANES;
+  return static_cast<std::size_t>(slot / LANES) * 9 * LANES + slot % LANES;
+}
+
+int slotOf(int tet, int points, int point)
+{
+  return (tet / LANES * points + point) * LANES + tet % LANES;
 }
 
 Eigen::Matrix3d loadMatrix(const AlignedVector<double>& blocks, int slot)
 {
   Eigen::Matrix3d m;
-  const double* p = blocks.data() + offset(slot, 9);
+  const double* p = blocks.data() + offset(slot);
   for (int k = 0; k < 9; ++k) m(k / 3, k % 3) = p[k * LANES];
   return m;
 }
@@ -40,7 +47,7 @@ Eigen::Matrix3d loadGradients(const AlignedVector<double>& blocks, int slot)
 
 void storeMatrix(AlignedVector<double>& blocks, int slot, const Eigen::Matrix3d& m)
 {
-  double* p = blocks.data() + offset(slot, 9);
+  double* p = blocks.data() + offset(slot);
   for (int k = 0; k < 9; ++k) p[k * LANES] = m(k / 3, k % 3);
 }
 
@@ -53,6 +60,31 @@ Eigen::Matrix4d quaternionForm(const Eigen::Matrix3d& F)
       0, 0, F(1, 1) - F(0, 0) - F(2, 2), F(1, 2) + F(2, 1),                  //
       0, 0, 0, F(2, 2) - F(0, 0) - F(1, 1);
   return n.selfadjointView<Eigen::Upper>();
+}
+
+/** The gradient that a rotation is taken of. */
+Eigen::Matrix3d gradientOf(const Model& model, const NodalField& x, const Eigen::Matrix3d& gradients, int tet,
+                           RotationRule rule, int point)
+{
+  const int* nodes = model.nodesOf(tet);
+  std::array<Eigen::Vector3d, CORNERS> y;  // F = sum_d y_d g_d^T
+  for (int d = 0; d < CORNERS; ++d)
+  {
+    if (rule == RotationRule::FROM_CORNERS)
+    {
+      y[d] = x[nodes[d]];
+      continue;
+    }
+    y[d].setZero();
+    for (int c = 0; c < CORNERS; ++c)
+    {
+      const double lambda = rule == RotationRule::FROM_CENTROID ? 0.25 : c == point ? kernels::NEAR : kernels::FAR;
+      y[d] += 2 * lambda * x[nodes[CONTROL_POINT[c][d]]];
+    }
+  }
+  Eigen::Matrix3d edges;
+  for (int k = 0; k < 3; ++k) edges.col(k) = y[k + 1] - y[0];
+  return edges * gradients.transpose();
 }
 }  // namespace
 
@@ -85,58 +117,73 @@ Eigen::Matrix3d polarRotation(const Eigen::Matrix3d& F, const Eigen::Matrix3d& b
   return Eigen::Quaterniond(q[0], q[1], q[2], q[3]).normalized().toRotationMatrix();
 }
 
-Eigen::Matrix3d Rotations::matrix(int tet) const
+Eigen::Matrix3d Rotations::matrix(int tet, int point) const
 {
-  return loadMatrix(matrices, tet);
+  return loadMatrix(matrices, slotOf(tet, points, point));
 }
 
-Eigen::Matrix<double, 3, 4> Rotations::gradient(int tet) const
+Eigen::Matrix<double, 3, 4> Rotations::gradient(int tet, int point) const
 {
   Eigen::Matrix<double, 3, 4> r;
-  r.rightCols<3>() = loadGradients(gradients, tet);
+  r.rightCols<3>() = loadGradients(gradients, slotOf(tet, points, point));
   r.col(0) = -(r.col(1) + r.col(2) + r.col(3));
   return r;
 }
 
 int Rotations::inverted(int num_tets) const
 {
-  return static_cast<int>(std::count_if(flags.begin(), flags.begin() + num_tets,
-                                        [](unsigned char f) { return (f & kernels::INVERTED) != 0; }));
+  int count = 0;
+  for (int t = 0; t < num_tets; ++t)
+  {
+    bool any = false;
+    for (int q = 0; q < points; ++q) any = any || (flags[slotOf(t, points, q)] & kernels::INVERTED) != 0;
+    if (any) ++count;
+  }
+  return count;
 }
 
-Rotations restRotations(const Model& model)
+Rotations restRotations(const Model& model, RotationRule rule)
 {
   Rotations rotations;
-  rotations.matrices.assign(static_cast<std::size_t>(model.num_blocks) * 9 * LANES, 0.0);
-  rotations.gradients = model.block_gradients;
-  rotations.flags.assign(static_cast<std::size_t>(model.num_blocks) * LANES, kernels::UNIQUE);
-  for (int slot = 0; slot < model.num_blocks * LANES; ++slot)
+  rotations.rule = model.quadratic() ? rule : RotationRule::FROM_CORNERS;
+  rotations.points = rotations.rule == RotationRule::FOUR_POINTS ? 4 : 1;
+  const int slots = model.num_blocks * rotations.points * LANES;
+  rotations.matrices.assign(static_cast<std::size_t>(slots) * 9, 0.0);
+  rotations.gradients.resize(rotations.matrices.size());
+  rotations.flags.assign(slots, kernels::UNIQUE);
+  for (int block_point = 0; block_point < model.num_blocks * rotations.points; ++block_point)
   {
-    storeMatrix(rotations.matrices, slot, Eigen::Matrix3d::Identity());
+    std::copy_n(model.block_gradients.data() + 9L * LANES * (block_point / rotations.points), 9 * LANES,
+                rotations.gradients.data() + 9L * LANES * block_point);
   }
+  for (int slot = 0; slot < slots; ++slot) storeMatrix(rotations.matrices, slot, Eigen::Matrix3d::Identity());
   return rotations;
 }
 
 Turn updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,
                      Rotations& after, AlignedVector<double>& turned)
 {
-  const kernels::Elements elements{model.nodes_per_tet, model.block_nodes.data(), nullptr, nullptr};
+  after.rule = before.rule;
+  after.points = before.points;
+  const int points = before.points;
+  const kernels::Elements elements{model.nodes_per_tet, points, model.block_nodes.data(), nullptr, nullptr};
+  const kernels::Gradient gradient = before.rule == RotationRule::FROM_CORNERS    ? kernels::Gradient::OF_CORNERS
+                                     : before.rule == RotationRule::FROM_CENTROID ? kernels::Gradient::AT_CENTROID
+                                                                                  : kernels::Gradient::AT_FOUR_POINTS;
   forEachThread(partition, [&](int thread) {
     const int begin = partition.blockBegin(thread), end = partition.blockEnd(thread);
-    kernels::table().update_rotations(elements, begin, end, model.block_gradients.data(), x.data(),
+    kernels::table().update_rotations(elements, gradient, begin, end, model.block_gradients.data(), x.data(),
                                       before.matrices.data(), after.matrices.data(), after.gradients.data(),
                                       turned.data(), after.flags.data());
-    for (int slot = begin * LANES; slot < end * LANES; ++slot)
+    for (int slot = begin * points * LANES; slot < end * points * LANES; ++slot)
     {
       if (after.flags[slot] & kernels::UNIQUE) continue;
-      const int t = std::min(slot, model.num_tets - 1);
-      const int* nodes = model.nodesOf(t);
-      Eigen::Matrix3d edges;
-      for (int k = 0; k < 3; ++k) edges.col(k) = x[nodes[k + 1]] - x[nodes[0]];
-      const Eigen::Matrix3d gradients = loadGradients(model.block_gradients, slot);
+      const int element = slot / LANES / points * LANES + slot % LANES, point = slot / LANES % points;
+      const Eigen::Matrix3d gradients = loadGradients(model.block_gradients, element);
       const Eigen::Matrix3d last = loadMatrix(before.matrices, slot);
       double margin;
-      const Eigen::Matrix3d R = polarRotation(edges * gradients.transpose(), last, &margin);
+      const Eigen::Matrix3d R = polarRotation(
+          gradientOf(model, x, gradients, std::min(element, model.num_tets - 1), before.rule, point), last, &margin);
       storeMatrix(after.matrices, slot, R);
       storeMatrix(after.gradients, slot, (R * gradients).transpose());
       turned[slot] = (R - last).squaredNorm();
@@ -145,9 +192,9 @@ Turn updateRotations(const Model& model, const Partition& partition, const Nodal
   });
   Turn turn;
   double largest = 0;
-  for (int t = 0; t < model.num_tets; ++t)
+  for (std::size_t slot = 0; slot < after.flags.size(); ++slot)  // the copies that fill the last block do no harm
   {
-    if (before.flags[t] & after.flags[t] & kernels::UNIQUE) largest = std::max(largest, turned[t]);
+    if (before.flags[slot] & after.flags[slot] & kernels::UNIQUE) largest = std::max(largest, turned[slot]);
   }
   turn.inverted = after.inverted(model.num_tets);
   turn.angle = 2 * std::asin(std::min(1.0, std::sqrt(largest / 8)));

@@ -515,7 +515,11 @@ Scene readScene(const YamlNode& root, const Origin& origin)
     return readChoice<Elasticity>(value, {{"corotated", Elasticity::COROTATED}, {"linear", Elasticity::LINEAR}},
                                   {"green"});
   });
-  if (const auto found = map.find("rotation")) checkChoice(*found, {"corners"}, {"centroid", "four"});
+  map.get("rotation", scene.rotation, [](const Value& value) {
+    return readChoice<RotationRule>(value, {{"corners", RotationRule::FROM_CORNERS},
+                                            {"centroid", RotationRule::FROM_CENTROID},
+                                            {"four", RotationRule::FOUR_POINTS}});
+  });
   readMaterial(map.require("material", "a map with the keys young, poisson, density"), scene);
   if (const auto found = map.find("damping"))
   {

@@ -319,7 +319,7 @@ void checkHeld(const Model& model, const Supports& supports)
 
 StepSettings settingsOf(const Scene& scene)
 {
-  return {scene.time_step, scene.elasticity, scene.damping, scene.gravity, scene.solver};
+  return {scene.time_step, scene.elasticity, scene.rotation, scene.damping, scene.gravity, scene.solver};
 }
 }  // namespace
 
@@ -355,7 +355,7 @@ Simulation::Simulation(Scene scene, int threads, const Log& log)
       throw InputError("probes." + name + ": the point lies " + std::to_string(distance) + " m outside the body");
     }
   }
-  workspace_ = std::make_unique<Workspace>(model_, threads);
+  workspace_ = std::make_unique<Workspace>(model_, settings_, threads);
   reset();
 }
 

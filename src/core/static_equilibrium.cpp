@@ -83,10 +83,11 @@ StepReport solveStatic(const Model& model, const StepSettings& settings, const S
     if (progress) progress(round, report.residual);
     if (report.converged || !report.finite || round == MAX_ROUNDS) break;
 
-    w.solver.prepare(model, w.partition, state.rotations, supports.held, 0, 1, 0);
+    const MatrixFreeSystem<Rotations> system(model, w.partition, state.rotations, 0, 1);
+    w.solver.prepare(system, model, w.partition, supports.held, 0);
     w.change.setZero();
-    const SolveReport solved = w.solver.solve(model, w.partition, state.rotations, w.rhs, w.change, round_tolerance,
-                                              100 * settings.solver.max_iterations);
+    const SolveReport solved =
+        w.solver.solve(system, w.partition, w.rhs, w.change, round_tolerance, 100 * settings.solver.max_iterations);
     report.iterations += solved.iterations;
 
     // As far along the change as the forces out of balance go on doing work (Matthies and Strang 1979): the whole

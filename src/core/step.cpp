@@ -65,7 +65,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   watch.lap(report.ms.force);
 
   const double alpha = 1 + h * damp_m, beta = h * (h + damp_k);
-  w.solver.prepare(model, w.partition, state.rotations, supports.held, alpha, beta, 1e-3 * h);
+  const MatrixFreeSystem<Rotations> system(model, w.partition, state.rotations, alpha, beta);
+  w.solver.prepare(system, model, w.partition, supports.held, 1e-3 * h);
   watch.lap(report.ms.assembly);
 
   // Led components: the dv that takes them to where they have to be.
@@ -77,7 +78,7 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   const bool led = !(w.led.matrix().array() == 0).all();
   if (led)
   {
-    systemProduct(model, w.partition, state.rotations, alpha, beta, w.led, w.force);
+    system.product(w.led, w.force);
     w.rhs.matrix() -= nodes(w.force, model);
   }
 
@@ -89,8 +90,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   {
     w.change.setZero();
   }
-  const SolveReport solved = w.solver.solve(model, w.partition, state.rotations, w.rhs, w.change,
-                                            settings.solver.tolerance, std::max(1, settings.solver.max_iterations));
+  const SolveReport solved = w.solver.solve(system, w.partition, w.rhs, w.change, settings.solver.tolerance,
+                                            std::max(1, settings.solver.max_iterations));
   report.iterations += solved.iterations;
   report.residual = std::max(report.residual, solved.residual);
   report.converged = report.converged && solved.converged;
@@ -102,9 +103,15 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   report.finite = state.x.matrix().allFinite();
   watch.lap(report.ms.solve);
 }
+
+Rotations startRotations(const Model& model, const StepSettings& settings)
+{
+  return restRotations(model,
+                       settings.elasticity == Elasticity::COROTATED ? settings.rotation : RotationRule::FROM_CORNERS);
+}
 }  // namespace
 
-Workspace::Workspace(const Model& model, int threads)
+Workspace::Workspace(const Model& model, const StepSettings& settings, int threads)
     : partition(model, threads),
       solver(model, partition),
       balance(model.num_nodes),
@@ -117,8 +124,8 @@ Workspace::Workspace(const Model& model, int threads)
       last_but_one_change(model.num_nodes),
       x_before(model.num_nodes),
       v_before(model.num_nodes),
-      candidate(restRotations(model)),
-      turned(static_cast<std::size_t>(model.num_blocks) * LANES)
+      candidate(startRotations(model, settings)),
+      turned(candidate.flags.size())
 {
 }
 
@@ -192,7 +199,7 @@ State startState(const Model& model, const StepSettings& settings, const Support
       if (!(supports.held[i] >> axis & 1)) state.v[i][axis] = velocity[axis];
     }
   }
-  state.rotations = restRotations(model);
+  state.rotations = startRotations(model, settings);
   if (settings.elasticity == Elasticity::COROTATED)
   {
     const Rotations rest = state.rotations;

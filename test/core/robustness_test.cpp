@@ -63,10 +63,11 @@ struct Outcome
 
 Outcome recover(const Model& model, const NodalField& start)
 {
-  const StepSettings settings{0.02, Elasticity::COROTATED, {1, 0}, Vector3d::Zero(), {1e-4, 500}};
+  const StepSettings settings{0.02,   Elasticity::COROTATED, RotationRule::FROM_CORNERS,
+                              {1, 0}, Vector3d::Zero(),      {1e-4, 500}};
   const Supports supports = holdFoot(model, model.rest);
   const NodalField no_force(model.num_nodes);
-  Workspace workspace(model, 1);
+  Workspace workspace(model, settings, 1);
   State state = startState(model, settings, supports, start, Vector3d::Zero(), workspace);
   Outcome outcome{-1, 0, 0, true};
   for (int step = 1; step <= 800 && outcome.finite; ++step)
@@ -154,10 +155,11 @@ TEST_P(Recovery, ExtremeStepsAndMaterialsGiveNumbersAndTheTruth)
           std::vector<Material> materials(mesh.tets.cols(), {young, poisson, 500});
           for (std::size_t t = 0; t < materials.size(); t += 3) materials[t].density *= contrast;
           const Model hard = buildModel(mesh, GetParam(), materials);
-          const StepSettings settings{dt, Elasticity::COROTATED, {0, 0}, {0, -9.81, 0}, {1e-4, 500}};
+          const StepSettings settings{dt,     Elasticity::COROTATED, RotationRule::FROM_CORNERS,
+                                      {0, 0}, {0, -9.81, 0},         {1e-4, 500}};
           const Supports supports = holdFoot(hard, hard.rest);
           const NodalField no_force(hard.num_nodes);
-          Workspace workspace(hard, 1);
+          Workspace workspace(hard, settings, 1);
           State state = startState(hard, settings, supports, hard.rest, Vector3d::Zero(), workspace);
           for (int step = 0; step < 10; ++step)
           {

@@ -42,7 +42,7 @@ constexpr double DT = 0.02;
 
 StepSettings settings(Elasticity elasticity = Elasticity::COROTATED)
 {
-  return {DT, elasticity, {0, 0}, {0, -9.81, 0}, {1e-10, 5000}};
+  return {DT, elasticity, RotationRule::FROM_CORNERS, {0, 0}, {0, -9.81, 0}, {1e-10, 5000}};
 }
 
 /** Holds the nodes of a region where they are at rest. */
@@ -88,7 +88,7 @@ class Stepping : public testing::TestWithParam<Element>
 {
 protected:
   Model model = test::boxModel(test::irregularBox({2, 2, 4}, {0.4, 0.4, 1.0}), GetParam());
-  Workspace workspace{model, 1};
+  Workspace workspace{model, settings(), 1};
   NodalField no_force{model.num_nodes};
 };
 INSTANTIATE_TEST_SUITE_P(Elements, Stepping, testing::Values(Element::LINEAR, Element::QUADRATIC),
@@ -325,11 +325,11 @@ TEST_P(Stepping, ThreadsChangeNothingButRounding)
 {
   const StepSettings s = settings();
   const Supports supports = holdFoot(model);
-  Workspace two(model, 2);
+  Workspace two(model, s, 2);
   State a = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
   State b = startState(model, s, supports, model.rest, Vector3d::Zero(), two);
   State c = b;
-  Workspace two_again(model, 2);
+  Workspace two_again(model, s, 2);
   for (int k = 0; k < 20; ++k)
   {
     implicitEulerStep(model, s, supports, {}, no_force, a, workspace);
@@ -352,12 +352,13 @@ TEST(ConjugateGradients, SolveAndTellTheTruth)
   const Rotations rotations = restRotations(model);
   const NodalField b = test::randomField(model.num_nodes, 4);
   ConjugateGradient solver(model, partition);
-  solver.prepare(model, partition, rotations, supports.held, 1, 4e-4, 0);
+  const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
+  solver.prepare(system, model, partition, supports.held, 0);
   double last = 1e300;
   for (const double tolerance : {1e-2, 1e-4, 1e-8, 1e-12})
   {
     NodalField u(model.num_nodes), product(partition.rows());
-    const SolveReport report = solver.solve(model, partition, rotations, b, u, tolerance, 10000);
+    const SolveReport report = solver.solve(system, partition, b, u, tolerance, 10000);
     EXPECT_TRUE(report.converged);
     EXPECT_LE(report.residual, tolerance);
     systemProduct(model, partition, rotations, 1, 4e-4, u, product);
@@ -369,7 +370,7 @@ TEST(ConjugateGradients, SolveAndTellTheTruth)
     last = report.residual;
   }
   NodalField u(model.num_nodes);
-  const SolveReport cut = solver.solve(model, partition, rotations, b, u, 1e-12, 3);
+  const SolveReport cut = solver.solve(system, partition, b, u, 1e-12, 3);
   EXPECT_FALSE(cut.converged);
   EXPECT_EQ(cut.iterations, 3);
   EXPECT_GT(cut.residual, 1e-12);
@@ -382,8 +383,8 @@ TEST(StaticEquilibrium, ABarInTensionHasItsClosedForm)
   {
     const Material material{2e5, 0, 500};
     const Model model = test::boxModel(test::irregularBox({2, 2, 4}, {0.4, 0.4, 1.0}), element, material);
-    Workspace workspace(model, 1);
     StepSettings s = settings(Elasticity::LINEAR);
+    Workspace workspace(model, s, 1);
     s.gravity.setZero();
     const Supports supports = holdFoot(model);
     NodalField force(model.num_nodes);
@@ -419,8 +420,8 @@ TEST(StaticEquilibrium, IsFoundForSoftBodiesToo)
     for (const double young : {2e5, 5e4, 1e4, 2e3})
     {
       const Model model = test::boxModel(test::kuhnBox({2, 2, 5}, {0.4, 0.4, 1.0}), element, {young, 0.34, 500});
-      Workspace workspace(model, 1);
       StepSettings s = settings();
+      Workspace workspace(model, s, 1);
       s.solver.tolerance = 1e-6;
       const Supports supports = holdFoot(model);
       const NodalField no_force(model.num_nodes);
