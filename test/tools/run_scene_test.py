@@ -182,6 +182,15 @@ class RunScene(unittest.TestCase):
                     self.assertAlmostEqual(math.hypot(*vertices[corner][3:]), 1, 5)
                     self.assertGreater(sum(map(operator.mul, normal, vertices[corner][3:])), 0)
 
+    def test_recovery_from_inversion(self):
+        scene = os.path.join(os.path.dirname(BAR), "recovery.yaml")
+        self.assertEqual(self.run_scene("--steps", 0, scene=scene)[0]["inverted_elements"], 120)
+        summary, probes, _ = self.run_scene("--duration", 4, scene=scene)
+        self.assertEqual(summary["inverted_elements"], 0)
+        _, settled, _ = self.run_scene("--static", scene=BAR)  # the same bar, from rest
+        for name in ("lower_left.x", "lower_left.y", "lower_left.z", "lower_right.y"):
+            self.assertAlmostEqual(probes[-1][name], settled[-1][name], delta=0.005)
+
     def test_a_solver_cut_short_says_so_and_writes_everything(self):
         summary, probes, _ = self.run_scene("--steps", 5, "--set", "solver.max_iterations=3", status=1)
         self.assertEqual((summary["status"], len(probes)), ("not_converged", 6))
