@@ -214,7 +214,7 @@ def fig8():
 
 def fig7():
     """Von Mises stress where the bar hangs lowest, on the mesh of Fig. 8 and a finer one."""
-    camera = Camera(140, 12, up=(0, 1, 0))
+    camera = Camera(-140, 14, up=(0, 1, 0))
     stresses, pictures = [], []
     for cells in (BAR["cells"], (4, 4, 10)):
         name = "x".join(map(str, cells))
@@ -246,7 +246,7 @@ def fig7():
 def recovery():
     """Bodies that start in impossible shapes, and where they come to rest."""
     ground = 0.1  # config/bear.yaml holds what is below
-    rows = [0, 1, 5, 15, 30, 50, 200]  # of 20 ms
+    rows = [0, 1, 2, 5, 10, 20, 40, 200]  # of 20 ms
     seconds = 0.02 * rows[-1]
     series = []
 
@@ -267,16 +267,18 @@ def recovery():
     say("recovery: bar")
     out = folder("recovery", "bar")
     series.append({"body": "bar", "start": "mirrored at its wall", **follow("recovery.yaml", out)})
-    figure, all_axes = pyplot.subplots(1, len(rows), figsize=(13, 2.6))
-    camera = Camera(215, 12, up=(0, 1, 0))
+    figure, all_axes = pyplot.subplots(2, 4, figsize=(13, 4.6))
+    camera = Camera(-150, 14, up=(0, 1, 0))
+    wall = np.array([[0, 0, 0], [0.4, 0, 0], [0.4, 0.4, 0], [0, 0.4, 0], [0, 0, 0]])
     clouds = []
-    for row, axes in zip(rows, all_axes):
+    for row, axes in zip(rows, all_axes.ravel()):
         vtu = read_vtu(os.path.join(out, f"recovery_{row:06}.vtu"))
         draw_elements(axes, camera, vtu)
+        axes.plot(*camera.project(wall).T, color="k", lw=1.2)
         axes.set_title(f"{0.02 * row:.2f} s")
         clouds.append(vtu["Points"] + vtu["displacement"])
-    same_window(all_axes, camera, clouds)
-    figure.subplots_adjust(wspace=0)
+    same_window(all_axes.ravel(), camera, clouds)
+    figure.subplots_adjust(wspace=0, hspace=0.1)
     picture(figure, "recovery_bar")
 
     random = np.random.default_rng(1)
@@ -286,9 +288,8 @@ def recovery():
         "collapsed to a point": lambda rest, free: np.broadcast_to([0, 0, ground], rest.shape),
         "scrambled": lambda rest, free: random.uniform(rest[free].min(axis=0), rest[free].max(axis=0), rest.shape),
     }
-    figure, all_axes = pyplot.subplots(len(starts), len(rows), figsize=(13, 2.1 * len(starts)))
+    figure, all_axes = pyplot.subplots(len(starts), len(rows), figsize=(14, 2.3 * len(starts)))
     camera = Camera(30, 12)
-    clouds = []
     for (name, deformed), axes_row in zip(starts.items(), all_axes):
         say(f"recovery: bear, {name}")
         out = folder("recovery", name.replace(" ", "_"))
@@ -300,14 +301,15 @@ def recovery():
         series.append({"body": "bear", "start": name,
                        **follow("bear.yaml", out, initial__positions=begin, damping__mass=2,
                                 solver__max_iterations=SOLVER["max_iterations"])})
+        clouds = []
         for row, axes in zip(rows, axes_row):
             points, normals, triangles = read_ply(os.path.join(out, f"bear_{row:06}.ply"))
             draw_surface(axes, camera, points, normals, triangles)
-            clouds.append(points)
-    for row, axes in zip(rows, all_axes[0]):
-        axes.set_title(f"{0.02 * row:.2f} s")
-    same_window(all_axes.ravel(), camera, clouds)
-    figure.subplots_adjust(wspace=0, hspace=0)
+            axes.set_title(f"{name}, 0 s" if row == 0 else f"{0.02 * row:.2f} s", fontsize=8)
+            if row > 0 or name != "scrambled":  # what sticks out of the window there is cut off
+                clouds.append(points)
+        same_window(axes_row, camera, clouds)
+    figure.subplots_adjust(wspace=0, hspace=0.12)
     picture(figure, "recovery_bear")
     left = sum(one["inverted_after"] for one in series)
     apart = max(one["apart"] for one in series)

@@ -10,6 +10,7 @@ from matplotlib import cm, collections, colors, pyplot  # noqa: E402  (the backe
 import numpy as np  # noqa: E402
 
 CLAY = (0.80, 0.62, 0.46)
+INSIDE = (0.36, 0.50, 0.70)  # a surface seen from its inner side: the body is inside out there
 PAIR = {"linear": "tab:orange", "quadratic": "tab:blue"}
 EDGES = list(itertools.combinations(range(4), 2))
 
@@ -70,22 +71,21 @@ class Camera:
     def depth(self, points):
         return points @ self.to_eye
 
-    def shade(self, base, normals):
-        """Lambert from a light at the upper left, some of it from the back, and a highlight."""
+    def shade(self, base, normals, ambient):
+        """Lambert from a light at the upper left, a little of it from below, and a highlight where there is much shading."""
         halfway = self.light + self.to_eye
         shine = np.clip(normals @ (halfway / np.linalg.norm(halfway)), 0, 1) ** 25
-        lit = 0.38 + 0.62 * np.clip(normals @ self.light, 0, 1) + 0.10 * np.clip(-normals @ self.light, 0, 1)
-        return np.clip(base * lit[:, None] + 0.12 * shine[:, None], 0, 1)
+        lit = np.clip(normals @ self.light, 0, 1) + 0.15 * np.clip(-normals @ self.light, 0, 1)
+        return np.clip(base * (ambient + (1 - ambient) * lit)[:, None] + 0.2 * (1 - ambient) * shine[:, None], 0, 1)
 
 
-def draw_polygons(axes, camera, triangles, base, normals, segments=(), segment_depths=()):
+def draw_polygons(axes, camera, triangles, base, normals, segments=(), segment_depths=(), ambient=0.38):
     """Triangles (n x 3 x 3) in colours (n x 3), and line segments (m x 2 x 3), the farthest first."""
-    facing = normals @ camera.to_eye
-    seen = facing > -0.05
-    faces = camera.shade(base, normals)[seen]
-    outlines = camera.project(triangles[seen])
-    depths = camera.depth(triangles[seen].mean(axis=1))
-    shapes, face_colors = list(outlines), list(faces)
+    inner = unit(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])) @ camera.to_eye < 0
+    towards = np.where(inner & (normals @ camera.to_eye < 0), -1, 1)
+    faces = camera.shade(np.where(inner[:, None], INSIDE, base), normals * towards[:, None], ambient)
+    depths = camera.depth(triangles.mean(axis=1))
+    shapes, face_colors = list(camera.project(triangles)), list(faces)
     edge_colors, widths = list(faces), [0.25] * len(shapes)
     if len(segments):
         shapes += list(camera.project(segments))
@@ -152,11 +152,10 @@ def draw_elements(axes, camera, vtu, values=None, norm=None, cmap="viridis", pie
     else:
         at = np.einsum("kn,fn->fk", weights, values[faces])[:, small].mean(axis=2).ravel()
         base = pyplot.get_cmap(cmap)(norm(at))[:, :3]
-    front = unit(np.cross(points[:, index[0, pieces]] - points[:, index[pieces, 0]],
-                          points[:, index[0, 0]] - points[:, index[pieces, 0]])) @ camera.to_eye > -0.2
-    segments = points[front][:, rims].reshape(-1, 2, 3)
-    nudge = 0.02 * np.ptp(now, axis=0).max() / pieces
-    draw_polygons(axes, camera, triangles, base, normals, segments, camera.depth(segments.mean(axis=1)) + nudge)
+    segments = points[:, rims].reshape(-1, 2, 3)
+    nudge = 0.5 * np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).mean()
+    draw_polygons(axes, camera, triangles, base, normals, segments, camera.depth(segments.mean(axis=1)) + nudge,
+                  ambient=0.38 if values is None else 0.7)
 
 
 def same_window(all_axes, camera, clouds, margin=0.03):

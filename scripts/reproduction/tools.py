@@ -128,7 +128,7 @@ def read_probe(path, name):
 def read_nodes(path):
     """Ids, and positions (rows x nodes x 3)."""
     table = np.loadtxt(path, delimiter=",", skiprows=1)
-    count = int(np.argmax(np.append(table[1:, 1], -1) == table[0, 1])) + 1
+    count = len(np.unique(table[:, 1]))
     return table[:count, 1].astype(int), table[:, 2:].reshape(-1, count, 3)
 
 
