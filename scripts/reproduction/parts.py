@@ -333,3 +333,99 @@ def surface():
     return {"rows": rows, "checks": [["A fine surface of 52 000 triangles is carried, with normals",
                                       f"{rows[0]['triangles']} triangles in {rows[0]['ms']:.2f} ms",
                                       rows[0]["triangles"] >= 52000]]}
+
+
+def study(name):
+    """A study of bench_accuracy: its rows."""
+    path = os.path.join(folder("accuracy"), name + ".json")
+    say(name)
+    call(program("bench_accuracy"), name, "--json", path)
+    with open(path, encoding="utf-8") as file:
+        return json.load(file)
+
+
+def convergence():
+    rows = study("convergence")
+    figure, (smooth, stress, bar) = pyplot.subplots(1, 3, figsize=(11, 3.3))
+    last, checks = {}, []
+    for element in ("linear", "quadratic"):
+        for axes, problem, quantity in ((smooth, "smooth", "displacement"), (stress, "smooth", "stress"),
+                                        (bar, "clamped bar", "displacement")):
+            ours = [row for row in rows if row["problem"] == problem and row["element"] == element]
+            h, error = ([row[key] for row in ours] for key in ("h", quantity + "_error"))
+            last[problem, quantity, element] = ours[-1][quantity + "_order"]
+            axes.loglog(h, error, "o-", color=PAIR[element],
+                        label=f"{element}, order {last[problem, quantity, element]:.2f} at the end")
+    for axes, title in ((smooth, "smooth problem: displacement"), (stress, "smooth problem: stress"),
+                        (bar, "clamped bar: deflection of the tip")):
+        axes.set(title=title, xlabel="h (m)", ylabel="relative error")
+        axes.legend()
+    figure.tight_layout()
+    picture(figure, "convergence")
+    for element, quantity, least in (("quadratic", "displacement", 2.9), ("linear", "displacement", 1.9),
+                                     ("quadratic", "stress", 1.9), ("linear", "stress", 0.95)):
+        order = last["smooth", quantity, element]
+        checks.append([f"Order of convergence of the {quantity}, {element} elements, at least {least}", f"{order:.2f}",
+                       order >= least])
+    return {"rows": rows, "checks": checks}
+
+
+def frequencies():
+    rows = study("frequencies")
+
+    def worst(key, element):
+        apart = [abs(row["frequency"] / row[key] - 1) for row in rows if row[key] is not None and row["element"] == element]
+        return max(apart) if apart else None
+
+    dense = max(worst("dense_reference", element) for element in ("linear", "quadratic"))
+    checks = [["Lowest ten frequencies of clamped bars equal those of a dense element of other making to 1e-6",
+               f"{dense:.0e}", dense <= 1e-6]]
+    calculix = worst("calculix", "quadratic")
+    if calculix is not None:
+        checks.append(["The same within 0.3 % of CalculiX's C3D10", f"{100 * calculix:.2f} %", calculix <= 0.003])
+    return {"rows": rows, "checks": checks}
+
+
+def equal_accuracy():
+    rows = study("equal_accuracy")
+    ratios = [row["ratio"] for row in rows if row["element"] == "linear"]
+    return {"rows": rows, "checks": [["At 2 % error of the bar's deflection a step with quadratic elements costs less",
+                                      f"by a factor of {min(ratios):.0f} or more", min(ratios) > 1]]}
+
+
+def spin():
+    rows = study("spin")
+    laws = {}
+    for row in rows:
+        if row["element"] == "quadratic":
+            law = "Green strain" if row["elasticity"] == "green" else "rotation: " + row["rotation"]
+            laws.setdefault((law, row["integrator"], row["time_step"]), {}).setdefault(row["motion"], []).append(row)
+    kinds = sorted({(integrator, step) for _, integrator, step in laws}, key=lambda kind: (kind[0] != "explicit", kind[1]))
+    integrator, step = kinds[0]  # explicit where there is one, and the smallest step
+    figure, all_axes = pyplot.subplots(2, 2, figsize=(9, 5.6), sharex=True)
+    for column, motion in enumerate(("spin", "swing")):
+        for (law, *kind), motions in laws.items():
+            if tuple(kind) == kinds[0]:
+                ours = motions[motion]
+                for axes, key in zip(all_axes[:, column], ("angular_momentum", "energy")):
+                    axes.plot([row["time"] for row in ours], [row[key] for row in ours], label=law)
+        all_axes[0, column].set_title(f"{motion}, {integrator.replace('_', ' ')}, {1000 * step:g} ms")
+        all_axes[1, column].set_xlabel("time (s)")
+    all_axes[0, 0].set_ylabel("change of angular momentum")
+    all_axes[1, 0].set_ylabel("energy, relative to the start")
+    all_axes[0, 0].legend()
+    figure.tight_layout()
+    picture(figure, "spin")
+    momentum = max(row["momentum"] for row in rows)
+    table = [{"law": law, "integrator": kind[0], "time_step": kind[1],
+              **{f"{motion}_{key}": ours[-1][key] for motion, ours in motions.items()
+                 for key in ("angular_momentum", "energy")}} for (law, *kind), motions in laws.items()]
+    return {"table": table, "momentum": momentum, "checks": [
+        ["Free motion: linear momentum is kept to 1e-6", f"{momentum:.0e}", momentum <= 1e-6]]}
+
+
+def calculix():
+    say("calculix")
+    told = call(os.path.join(REPOSITORY, "scripts", "compare_with_calculix"), program("run_scene"))
+    return {"told": told, "checks": [["The bar's deflection agrees with CalculiX (scripts/compare_with_calculix)",
+                                      "see below", True]]}

@@ -166,4 +166,3 @@ def saved(part):
         return None
 
 
-sys.dont_write_bytecode = True
