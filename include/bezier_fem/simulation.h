@@ -86,6 +86,8 @@ public:
   const Surface& surface() const { return surface_; }
   /** Current surface points, m, and, if not null, unit normals; 3 x points. */
   void evaluateSurface(Eigen::Matrix3Xd& positions, Eigen::Matrix3Xd* normals) const;
+  /** Stress at the nodes' material points, Pa, the mean over the elements that meet there: 6 x nodes. */
+  Eigen::Matrix<double, 6, Eigen::Dynamic> nodalStress() const;
   /** Von Mises stress at the surface points, Pa. */
   void evaluateSurfaceStress(Eigen::VectorXd& von_mises) const;
   /** Current position of each of the scene's probes, m. */
@@ -109,6 +111,7 @@ private:
   std::unique_ptr<Workspace> workspace_;
 
   std::vector<Material> materials(const Material& base) const;
+  void checkExplicit() const;
 };
 
 }  // namespace bezier_fem

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <functional>
+#include <memory>
 #include <vector>
 
 #include "bezier_fem/boundary_conditions.h"
@@ -14,6 +15,10 @@
 
 namespace bezier_fem
 {
+class AssembledSystem;
+class SpectralBound;
+struct GreenTangent;
+
 /** Everything about a body that changes in time. Positions and velocities of control points, not of material points. */
 struct State
 {
@@ -62,8 +67,12 @@ struct Workspace
 {
   Workspace(const Model& model, const StepSettings& settings, int threads);
 
+  ~Workspace();
+
   /** To be called when the state was not made by the last step. */
   void forgetHistory() { history = 0; }
+  /** To be called after setMaterials(). */
+  void forgetMaterials();
 
   Partition partition;
   ConjugateGradient solver;
@@ -72,7 +81,10 @@ struct Workspace
   NodalField load, force, rhs, led, change, last_change, last_but_one_change, x_before, v_before;
   Rotations candidate;
   AlignedVector<double> turned;
-  int history = 0;  // how many of last_change, last_but_one_change hold
+  int history = 0;                             // how many of last_change, last_but_one_change hold
+  std::unique_ptr<AssembledSystem> assembled;  // where the settings ask for a matrix
+  std::unique_ptr<SpectralBound> bound;        // of explicit steps
+  std::unique_ptr<GreenTangent> green;         // of Green's strain
 };
 
 /** The largest angle that an element may turn by in one lagged step, rad; METHOD: inflation by sqrt(1 + angle^2). */
@@ -94,6 +106,21 @@ constexpr int MAX_SUBSTEPS = 32;
 StepReport implicitEulerStep(const Model& model, const StepSettings& settings, const Supports& supports,
                              const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
                              Workspace& workspace);
+
+/** An explicit step is cut into at most so many sub-steps. */
+constexpr int MAX_EXPLICIT_SUBSTEPS = 1000;
+
+/** The longest step, s, that explicitStep() can be sure to be stable with, at the present positions. */
+double stableStep(const Model& model, const StepSettings& settings, const State& state, Workspace& workspace);
+
+/**
+ * One step of velocity Verlet, M a = f_ext - f_el(x) - D v with the consistent mass matrix, for any elasticity:
+ * of second order, and without numerical damping. Cut into sub-steps of at most 0.9 stableStep(); solver.tolerance is
+ * that of each acceleration.
+ */
+StepReport explicitStep(const Model& model, const StepSettings& settings, const Supports& supports,
+                        const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                        Workspace& workspace);
 
 /**
  * Moves x to the static equilibrium f_el(x) = f_ext(x) of the loads of the current time and stops the body. Converged

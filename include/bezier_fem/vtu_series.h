@@ -23,8 +23,13 @@ public:
    */
   VtuSeries(const std::string& folder, const std::string& name);
 
-  /** Adds a file for one time, s. @throws InputError if it can't be written whole */
-  void write(const Model& model, const Rotations& rotations, const NodalField& x, const NodalField& v, double time);
+  /**
+   * Adds a file for one time, s.
+   * @param nodal_stress  6 x nodes, Pa (measures.h)
+   * @throws InputError if it can't be written whole
+   */
+  void write(const Model& model, const NodalField& x, const NodalField& v,
+             const Eigen::Matrix<double, 6, Eigen::Dynamic>& nodal_stress, double time);
 
 private:
   std::string folder_, name_;

@@ -17,6 +17,11 @@ constexpr int LANES = 8;
 constexpr int DIAGONAL_STRIDE = 8;
 /** Doubles a node of an inverted diagonal block: three columns of x, y, z, 0. */
 constexpr int INVERSE_STRIDE = 12;
+/** Doubles of an element's ten products H_cd, c <= d 12 each: columns of x, y, z and a fourth number. */
+constexpr int PRODUCTS_STRIDE = 120;
+
+/** So many entries ahead, gather_blocks() fetches what it will need. */
+constexpr int READ_AHEAD = 24;
 
 struct Elements
 {
@@ -25,6 +30,67 @@ struct Elements
   const int* gather;           // [block][node][LANES]: where a node's value is read
   const int* scatter;          // the same shape: where it is added
   const double* coefficients;  // [block][3][LANES]: V lambda_L, V mu, V rho
+};
+
+/** Rows of 3x3 blocks, columns sorted; 9 doubles a block, by columns, and one more after the last block. */
+struct BlockRows
+{
+  const int* row_begin;
+  const int* column;
+  double* blocks;
+};
+
+/** For blocks of an assembled matrix, which blocks of element matrices they are the sums of. */
+struct Contributions
+{
+  struct Target
+  {
+    int slot, mirror;    // places of (i,j) and (j,i)
+    long begin, turned;  // of `from`: contributions, of which those from `turned` on are transposed
+  };
+  const Target* targets;  // with an end mark
+  const long* from;       // offsets in the element matrices, in doubles; READ_AHEAD more after the last
+};
+
+/**
+ * What the blocks of an assembled matrix belong to: the smallest vertex, edge, face or tetrahedron that has both
+ * control points (Weber et al. 2011, Fig. 4). Corners a < b < c < d in order of their nodes; edges and faces are
+ * those of an element's corners so ordered: 01 02 03 12 13 23, and faces by the corner that they do not have. Pairs of
+ * slots are the places of a block and of its transpose. Every list ends with a mark.
+ */
+struct MeshEntities
+{
+  struct Vertex
+  {
+    int slot;
+    int begin;  // of `uses`
+  };
+  struct Edge
+  {
+    int ends[2], first_middle[2], middle_second[2], middle;  // linear elements: ends only
+    int begin;
+  };
+  struct Face
+  {
+    int a_bc[2], b_ac[2], ab_c[2], ab_ac[2], ab_bc[2], ac_bc[2];
+    int uses[2];  // on the boundary, the second is an element of zeros
+  };
+  struct Tet
+  {
+    int ab_cd[2], ac_bd[2], ad_bc[2];
+    int element;
+  };
+  /** Entities come in chunks of neighbours; first ones of each. */
+  struct Chunk
+  {
+    int vertex, edge, face, tet;
+  };
+  const Vertex* vertices;
+  const Edge* edges;
+  const Face* faces;
+  const Tet* tets;
+  const int* uses;  // 8 element + local number of the vertex, edge or face
+  const Chunk* chunks;
 };
 
 /**
@@ -46,6 +112,31 @@ enum RotationFlag : unsigned char
 {
   UNIQUE = 1,   // converged, and certified as the maximum with a margin; otherwise the result is to be made anew
   INVERTED = 2  // det F <= 0
+};
+
+/** Doubles an element that linearise() of St. Venant-Kirchhoff elasticity stores, linear and quadratic elements. */
+constexpr int LINEAR_TANGENT = 15, QUADRATIC_TANGENT = 96;
+
+/**
+ * St. Venant-Kirchhoff elasticity of one kind of element, over blocks [begin, end).
+ * @param rest  [block][9][LANES], gradients g_1, g_2, g_3 of the rest shape
+ * @param tangent  [block][LINEAR_TANGENT or QUADRATIC_TANGENT][LANES]: F at the corners, then the integrals T_ab of
+ *                 lambda_a lambda_b S (linear elements: F and V S)
+ */
+struct GreenTable
+{
+  double (*energy)(const Elements& elements, int begin, int end, const double* rest, const double* x);
+  /** y += force */
+  void (*add_force)(const Elements& elements, int begin, int end, const double* rest, const double* x, double* y);
+  /** @param projected  without the negative eigenvalues of S */
+  void (*linearise)(const Elements& elements, int begin, int end, const double* rest, const double* x, bool projected,
+                    double* tangent);
+  /** y += (alpha M + beta K_T) u */
+  void (*add_product)(const Elements& elements, int begin, int end, const double* rest, const double* tangent,
+                      double alpha, double beta, const double* u, double* y);
+  /** Adds the 3x3 diagonal blocks of alpha M + beta K_T to d, DIAGONAL_STRIDE doubles a node. */
+  void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rest, const double* tangent,
+                       double alpha, double beta, double* d);
 };
 
 struct Table
@@ -76,6 +167,36 @@ struct Table
   void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                        double* d);
 
+  /**
+   * Element matrices of alpha M + beta K': [element][stride], upper triangles of blocks of 9 doubles, by columns
+   * (bezier_fem/assembled_matrix.h).
+   */
+  void (*element_matrices)(const Elements& elements, int begin, int end, const double* rotated, double alpha,
+                           double beta, double* out);
+  /** The same as alpha M + beta R K R^T from stored K, [block][pair][9][LANES], and R, [block][9][LANES]. */
+  void (*warped_matrices)(const Elements& elements, int begin, int end, const double* stiffness,
+                          const double* rotations, double alpha, double beta, double* out);
+
+  /** Adds element matrices to the blocks of (i,j) and (j,i), found in the sorted columns; nodes: [element][node]. */
+  void (*add_by_search)(const BlockRows& rows, int nodes_per_tet, int tets, const int* nodes, const double* matrices);
+  /** The same, the places known: [element][pair][2]. */
+  void (*add_by_slots)(const BlockRows& rows, int nodes_per_tet, int tets, const int* slots, const double* matrices);
+  /** Sets the blocks of targets [begin, end) to sums of their contributions. */
+  void (*gather_blocks)(const Contributions& list, int begin, int end, const double* matrices, double* blocks);
+
+  /**
+   * What fuse_blocks() reads of each element: [element][PRODUCTS_STRIDE].
+   * @param corner_order  [block][4][LANES], local corners in the order of their nodes
+   */
+  void (*gradient_products)(const Elements& elements, int begin, int end, const int* corner_order,
+                            const double* rotated, double alpha, double beta, double* out);
+  /** Sets the blocks that belong to the entities of chunks [begin, end). */
+  void (*fuse_blocks)(const MeshEntities& mesh, int nodes_per_tet, int begin, int end, const double* products,
+                      double* blocks);
+
+  /** y = A x over rows [begin, end). */
+  void (*block_product)(const BlockRows& rows, int begin, int end, const double* x, double* y);
+
   // Vector operations over nodes [begin, end).
   double (*dot)(int begin, int end, const double* a, const double* b);
   /** x += a p, r -= a q, z = B^-1 r; returns r.z. */
@@ -83,6 +204,8 @@ struct Table
                     double* r, double* z);
   /** p = z + b p */
   void (*redirect)(int begin, int end, double b, const double* z, double* p);
+
+  GreenTable green_linear, green_quadratic;
 };
 
 /** The widest of the machine's instruction sets; BEZIER_FEM_ISA=portable|avx2|avx512 in the environment narrows it. */

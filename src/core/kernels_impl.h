@@ -620,6 +620,8 @@ void redirect(int begin, int end, double b, const double* z, double* p)
   for (int i = begin; i < end; ++i) *reinterpret_cast<Node*>(p + 4L * i) = loadNode(z, i) + b * loadNode(p, i);
 }
 
+#include "kernels_green_impl.h"
+
 void updateRotationsAny(const Elements& elements, Gradient gradient, int begin, int end, const double* gradients,
                         const double* x, const double* before, double* after, double* rotated, double* turned,
                         unsigned char* flags)
@@ -656,9 +658,31 @@ void addDiagonalAny(const Elements& elements, int begin, int end, const double* 
   add(elements, begin, end, rotated, alpha, beta, d);
 }
 }  // namespace
+}  // namespace bezier_fem::kernels
 
+#include "kernels_assembly_impl.h"
+
+namespace bezier_fem::kernels
+{
 extern const Table TABLE;
-const Table TABLE = {TABLE_NAME, updateRotationsAny, addProductAny, addForceAny, addDiagonalAny, dot, advance,
-                     redirect};
+const Table TABLE = {
+    TABLE_NAME,
+    updateRotationsAny,
+    addProductAny,
+    addForceAny,
+    addDiagonalAny,
+    elementMatricesAny,
+    warpedMatricesAny,
+    addBySearchAny,
+    addBySlotsAny,
+    gatherBlocks,
+    gradientProductsAny,
+    fuseBlocksAny,
+    blockProduct,
+    dot,
+    advance,
+    redirect,
+    {greenEnergy<4>, addGreenForce<4>, lineariseGreen<4>, addGreenProduct<4>, addGreenDiagonal<4>},
+    {greenEnergy<10>, addGreenForce<10>, lineariseGreen<10>, addGreenProduct<10>, addGreenDiagonal<10>}};
 
 }  // namespace bezier_fem::kernels

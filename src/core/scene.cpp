@@ -490,7 +490,10 @@ void readSolver(const Value& value, Scene::Solver& solver)
   const Map map(value, {"preconditioner", "operator", "tolerance", "max_iterations"});
   if (const auto found = map.find("preconditioner"))
     checkChoice(*found, {"auto", "block_jacobi"}, {"pmultigrid", "direct"});
-  if (const auto found = map.find("operator")) checkChoice(*found, {"matrix_free"}, {"assembled"});
+  map.get("operator", solver.system_operator, [](const Value& form) {
+    using Operator = Scene::Solver::Operator;
+    return readChoice<Operator>(form, {{"matrix_free", Operator::MATRIX_FREE}, {"assembled", Operator::ASSEMBLED}});
+  });
   map.get("tolerance", solver.tolerance, readNumber, FRACTION);
   map.get("max_iterations", solver.max_iterations, [](const Value& count) {
     return static_cast<int>(readInteger(count, 1, std::numeric_limits<int>::max(), "an integer, 1 or above"));
@@ -512,8 +515,8 @@ Scene readScene(const YamlNode& root, const Origin& origin)
     return readChoice<Element>(value, {{"linear", Element::LINEAR}, {"quadratic", Element::QUADRATIC}});
   });
   map.get("elasticity", scene.elasticity, [](const Value& value) {
-    return readChoice<Elasticity>(value, {{"corotated", Elasticity::COROTATED}, {"linear", Elasticity::LINEAR}},
-                                  {"green"});
+    return readChoice<Elasticity>(
+        value, {{"corotated", Elasticity::COROTATED}, {"green", Elasticity::GREEN}, {"linear", Elasticity::LINEAR}});
   });
   map.get("rotation", scene.rotation, [](const Value& value) {
     return readChoice<RotationRule>(value, {{"corners", RotationRule::FROM_CORNERS},
@@ -530,9 +533,12 @@ Scene readScene(const YamlNode& root, const Origin& origin)
   map.get("gravity", scene.gravity, readVector);
   map.get("time_step", scene.time_step, readNumber, POSITIVE);
   map.get("integrator", scene.integrator, [](const Value& value) {
-    return readChoice<Integrator>(
-        value, {{"implicit_euler", Integrator::IMPLICIT_EULER}, {"static", Integrator::STATIC}}, {"explicit"});
+    return readChoice<Integrator>(value, {{"implicit_euler", Integrator::IMPLICIT_EULER},
+                                          {"explicit", Integrator::EXPLICIT},
+                                          {"static", Integrator::STATIC}});
   });
+  if (scene.elasticity == Elasticity::GREEN && scene.integrator != Integrator::EXPLICIT)
+    map.find("elasticity")->error("is green, which is not available yet but for integrator: explicit");
   if (const auto found = map.find("solver")) readSolver(*found, scene.solver);
   if (const auto found = map.find("initial"))
   {

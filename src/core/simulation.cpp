@@ -7,9 +7,11 @@
 #include <map>
 #include <numeric>
 #include <set>
+#include <sstream>
 #include <unordered_map>
 
 #include "bezier_fem/error.h"
+#include "bezier_fem/green_strain.h"
 #include "bezier_fem/mesh_io.h"
 #include "bezier_fem/meshed_surface.h"
 #include "bezier_fem/surface_mesh.h"
@@ -357,6 +359,17 @@ Simulation::Simulation(Scene scene, int threads, const Log& log)
   }
   workspace_ = std::make_unique<Workspace>(model_, settings_, threads);
   reset();
+  if (scene_.integrator == Integrator::EXPLICIT) checkExplicit();
+}
+
+void Simulation::checkExplicit() const
+{
+  const double longest = MAX_EXPLICIT_SUBSTEPS * stableStep(model_, settings_, state_, *workspace_);
+  if (scene_.time_step <= longest) return;
+  std::ostringstream message;
+  message << "time_step: is " << scene_.time_step << " s, must be at most " << longest
+          << " s for integrator: explicit, which takes up to " << MAX_EXPLICIT_SUBSTEPS << " stable sub-steps a step";
+  throw InputError(message.str());
 }
 
 std::vector<Material> Simulation::materials(const Material& base) const
@@ -377,8 +390,8 @@ std::vector<Material> Simulation::materials(const Material& base) const
 
 StepReport Simulation::step()
 {
-  const StepReport report =
-      implicitEulerStep(model_, settings_, supports_, loads_, external_forces_, state_, *workspace_);
+  const auto integrate = scene_.integrator == Integrator::EXPLICIT ? explicitStep : implicitEulerStep;
+  const StepReport report = integrate(model_, settings_, supports_, loads_, external_forces_, state_, *workspace_);
   for (HeldRegion& region : supports_.regions) region.begin = region.end;
   return report;
 }
@@ -400,6 +413,7 @@ void Simulation::setMaterial(const Material& material)
 {
   scene_.material = material;
   setMaterials(model_, materials(material));
+  workspace_->forgetMaterials();
 }
 
 void Simulation::evaluateSurface(Eigen::Matrix3Xd& positions, Eigen::Matrix3Xd* normals) const
@@ -407,9 +421,15 @@ void Simulation::evaluateSurface(Eigen::Matrix3Xd& positions, Eigen::Matrix3Xd* 
   evaluate(model_, workspace_->partition, state_.x, surface_.points, surface_.rest_normals, positions, normals);
 }
 
+Eigen::Matrix<double, 6, Eigen::Dynamic> Simulation::nodalStress() const
+{
+  return scene_.elasticity == Elasticity::GREEN ? greenNodalStress(model_, state_.x)
+                                                : bezier_fem::nodalStress(model_, state_.rotations, state_.x);
+}
+
 void Simulation::evaluateSurfaceStress(Eigen::VectorXd& von_mises) const
 {
-  const auto nodal = nodalStress(model_, state_.rotations, state_.x);
+  const auto nodal = nodalStress();
   von_mises.resize(static_cast<Eigen::Index>(surface_.points.size()));
   for (std::size_t i = 0; i < surface_.points.size(); ++i)
   {
@@ -432,8 +452,9 @@ std::vector<Eigen::Vector3d> Simulation::probes() const
 
 Energies Simulation::energies() const
 {
-  return {kineticEnergy(model_, state_.v), elasticEnergy(model_, state_.rotations, state_.x),
-          gravityEnergy(model_, settings_.gravity, state_.x)};
+  const double elastic = scene_.elasticity == Elasticity::GREEN ? greenEnergy(model_, state_.x)
+                                                                : elasticEnergy(model_, state_.rotations, state_.x);
+  return {kineticEnergy(model_, state_.v), elastic, gravityEnergy(model_, settings_.gravity, state_.x)};
 }
 
 std::vector<Reaction> Simulation::reactions() const

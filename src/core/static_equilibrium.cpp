@@ -3,6 +3,7 @@
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/step.h"
+#include "forces.h"
 
 namespace bezier_fem
 {
@@ -38,9 +39,7 @@ public:
   /** Leaves the loads in Workspace::load and the forces out of balance in Workspace::rhs. */
   void evaluate(const NodalField& x, const Rotations& rotations)
   {
-    w_.load.matrix() = external_.matrix();
-    for (int i = 0; i < model_.num_nodes; ++i) w_.load[i] += model_.node_mass[i] * settings_.gravity;
-    addLoads(model_, loads_, time_, x, w_.load);
+    externalForce(model_, settings_, loads_, external_, time_, x, w_.load);
     elasticForce(model_, w_.partition, rotations, x, w_.force);
     w_.rhs.matrix() = w_.load.matrix() - w_.force.matrix().leftCols(model_.num_nodes);
   }
@@ -83,7 +82,8 @@ StepReport solveStatic(const Model& model, const StepSettings& settings, const S
     if (progress) progress(round, report.residual);
     if (report.converged || !report.finite || round == MAX_ROUNDS) break;
 
-    const MatrixFreeSystem<Rotations> system(model, w.partition, state.rotations, 0, 1);
+    const MatrixFreeSystem<Rotations> matrix_free(model, w.partition, state.rotations, 0, 1);
+    const SystemOperator& system = systemOf(matrix_free, state.rotations, 0, 1, w);
     w.solver.prepare(system, model, w.partition, supports.held, 0);
     w.change.setZero();
     const SolveReport solved =

@@ -1,49 +1,18 @@
 #include "bezier_fem/step.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 
 #include "bezier_fem/element_operator.h"
+#include "bezier_fem/green_strain.h"
+#include "bezier_fem/stable_step.h"
+#include "forces.h"
+#include "stopwatch.h"
 
 namespace bezier_fem
 {
 namespace
 {
-class Stopwatch
-{
-public:
-  /** Adds the time since the last lap to `ms`. */
-  void lap(double& ms)
-  {
-    const auto now = std::chrono::steady_clock::now();
-    ms += std::chrono::duration<double, std::milli>(now - last_).count();
-    last_ = now;
-  }
-
-private:
-  std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
-};
-
-/** Gravity, the scene's loads and the external forces at a time, in N. */
-void gatherLoads(const Model& model, const StepSettings& settings, const std::vector<AppliedLoad>& loads,
-                 const NodalField& external, double time, const NodalField& x, NodalField& f)
-{
-  f.matrix() = external.matrix();
-  for (int i = 0; i < model.num_nodes; ++i) f[i] += model.node_mass[i] * settings.gravity;
-  addLoads(model, loads, time, x, f);
-}
-
-/** The first rows of a field that has ghost rows behind them. */
-auto nodes(NodalField& field, const Model& model)
-{
-  return field.matrix().leftCols(model.num_nodes);
-}
-auto nodes(const NodalField& field, const Model& model)
-{
-  return field.matrix().leftCols(model.num_nodes);
-}
-
 /** One lagged step of length h; updates x and v, not the rotations. */
 void laggedStep(const Model& model, const StepSettings& settings, const Supports& supports,
                 const std::vector<AppliedLoad>& loads, const NodalField& external, double step_begin, double h,
@@ -53,7 +22,7 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   const double damp_m = settings.damping.mass, damp_k = settings.damping.stiffness;
 
   // f_el(x) + (h + b) K' v = f_el(x + (h + b) v), because f_el is affine while the rotations are held.
-  gatherLoads(model, settings, loads, external, state.time + h / 2, state.x, w.load);
+  externalForce(model, settings, loads, external, state.time + h / 2, state.x, w.load);
   w.change.matrix() = state.x.matrix() + (h + damp_k) * state.v.matrix();
   elasticForce(model, w.partition, state.rotations, w.change, w.force);
   w.rhs.matrix() = h * (w.load.matrix() - nodes(w.force, model));
@@ -65,7 +34,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   watch.lap(report.ms.force);
 
   const double alpha = 1 + h * damp_m, beta = h * (h + damp_k);
-  const MatrixFreeSystem<Rotations> system(model, w.partition, state.rotations, alpha, beta);
+  const MatrixFreeSystem<Rotations> matrix_free(model, w.partition, state.rotations, alpha, beta);
+  const SystemOperator& system = systemOf(matrix_free, state.rotations, alpha, beta, w);
   w.solver.prepare(system, model, w.partition, supports.held, 1e-3 * h);
   watch.lap(report.ms.assembly);
 
@@ -127,6 +97,10 @@ Workspace::Workspace(const Model& model, const StepSettings& settings, int threa
       candidate(startRotations(model, settings)),
       turned(candidate.flags.size())
 {
+  if (settings.solver.system_operator == Scene::Solver::Operator::ASSEMBLED)
+  {
+    assembled = std::make_unique<AssembledSystem>(model, partition);
+  }
 }
 
 StepReport implicitEulerStep(const Model& model, const StepSettings& settings, const Supports& supports,
@@ -183,6 +157,13 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
   w.history = report.substeps == 1 ? std::min(w.history + 1, 2) : 0;
   total.lap(report.ms.total);
   return report;
+}
+
+Workspace::~Workspace() = default;
+
+void Workspace::forgetMaterials()
+{
+  bound.reset();
 }
 
 State startState(const Model& model, const StepSettings& settings, const Supports& supports, const NodalField& x,

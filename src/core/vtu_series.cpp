@@ -77,11 +77,10 @@ void VtuSeries::writeIndex() const
   writeWhole(folder_ + "/" + name_ + ".pvd", out.str());
 }
 
-void VtuSeries::write(const Model& model, const Rotations& rotations, const NodalField& x, const NodalField& v,
-                      double time)
+void VtuSeries::write(const Model& model, const NodalField& x, const NodalField& v,
+                      const Eigen::Matrix<double, 6, Eigen::Dynamic>& nodal_stress, double time)
 {
   std::vector<double> points, displacement, velocity, von_mises, stress;
-  const auto nodal = nodalStress(model, rotations, x);
   for (int i = 0; i < model.num_nodes; ++i)
   {
     const Eigen::Vector3d rest = nodePosition(model, model.rest, i), now = nodePosition(model, x, i);
@@ -89,8 +88,8 @@ void VtuSeries::write(const Model& model, const Rotations& rotations, const Noda
     points.insert(points.end(), rest.begin(), rest.end());
     for (int axis = 0; axis < 3; ++axis) displacement.push_back(now[axis] - rest[axis]);
     velocity.insert(velocity.end(), speed.begin(), speed.end());
-    von_mises.push_back(vonMises(nodal.col(i)));
-    stress.insert(stress.end(), nodal.col(i).begin(), nodal.col(i).end());
+    von_mises.push_back(vonMises(nodal_stress.col(i)));
+    stress.insert(stress.end(), nodal_stress.col(i).begin(), nodal_stress.col(i).end());
   }
   std::vector<std::int64_t> connectivity, offsets;
   for (int t = 0; t < model.num_tets; ++t)

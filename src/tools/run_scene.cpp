@@ -247,7 +247,7 @@ private:
       const Eigen::Vector3d p = nodePosition(model, state.x, i);
       nodes_->out() << time << ',' << model.ids[i] << ',' << p.x() << ',' << p.y() << ',' << p.z() << '\n';
     }
-    if (vtu_) vtu_->write(model, state.rotations, state.x, state.v, time);
+    if (vtu_) vtu_->write(model, state.x, state.v, simulation_.nodalStress(), time);
     if (!options_.surface.empty())
     {
       std::array<char, 32> number{};
@@ -296,7 +296,7 @@ private:
     j["residual"] = residual_;
     const Energies energy = simulation_.energies();
     j["energy"] = {{"kinetic", energy.kinetic}, {"elastic", energy.elastic}, {"gravity", energy.gravity}};
-    const auto stress = nodalStress(model, state.rotations, state.x);
+    const auto stress = simulation_.nodalStress();
     double largest = 0;
     for (Eigen::Index i = 0; i < stress.cols(); ++i) largest = std::max(largest, vonMises(stress.col(i)));
     j["max_von_mises"] = largest;

@@ -369,27 +369,20 @@ TEST_F(SceneTest, Choices)
   expectRefused("element=quadratc", {"did you mean quadratic?"});
   expectRefused("element=2", {"element is 2, must be one of linear, quadratic"});
   expectRefused("element=[linear]", {"element is [linear]"});
-  expectRefused("elasticity=plastic", {"elasticity is plastic, must be one of corotated, linear"});
-  expectRefused("integrator=euler", {"integrator is euler, must be one of implicit_euler, static"});
-  expectRefused("rotation=polar", {"rotation is polar, must be corners"});
+  expectRefused("elasticity=plastic", {"elasticity is plastic, must be one of corotated, green, linear"});
+  expectRefused("integrator=euler", {"integrator is euler, must be one of implicit_euler, explicit, static"});
+  expectRefused("rotation=polar", {"rotation is polar, must be one of corners, centroid, four"});
   expectRefused("solver.preconditioner=ilu", {"solver.preconditioner is ilu, must be one of auto, block_jacobi"});
-  expectRefused("solver.operator=dense", {"solver.operator is dense, must be matrix_free"});
+  expectRefused("solver.operator=dense", {"solver.operator is dense, must be one of matrix_free, assembled"});
   expectRefused("node.mode=fast", {"node.mode is fast, must be one of realtime, lockstep, free_run"});
 }
 
 TEST_F(SceneTest, WhatIsNotAvailableYetSaysSo)
 {
-  expectRefused("elasticity=green", {"elasticity is green", "not available yet; available now: corotated, linear"});
-  expectRefused("rotation=centroid", {"rotation is centroid", "not available yet; available now: corners"});
-  expectRefused("rotation=four", {"rotation is four", "not available yet; available now: corners"});
-  expectRefused("integrator=explicit",
-                {"integrator is explicit", "not available yet; available now: implicit_euler, static"});
   for (const char* name : {"pmultigrid", "direct"})
     expectRefused(
         std::string("solver.preconditioner=") + name,
         {std::string("solver.preconditioner is ") + name, "not available yet; available now: auto, block_jacobi"});
-  expectRefused("solver.operator=assembled",
-                {"solver.operator is assembled", "not available yet; available now: matrix_free"});
   expectRefused("environment.urdf=scene.urdf", {"environment is {urdf: scene.urdf}", "not available yet"});
   expectRefused("contact.friction=0.5", {"contact is {friction: 0.5}", "not available yet"});
 }

@@ -1,0 +1,378 @@
+#include "bezier_fem/assembled_matrix.h"
+
+#include <algorithm>
+#include <array>
+#include <numeric>
+
+#include "kernels.h"
+#include "parallel.h"
+
+namespace bezier_fem
+{
+namespace
+{
+kernels::Elements elementsOf(const Model& model)
+{
+  return {model.nodes_per_tet, 1, model.block_nodes.data(), model.block_nodes.data(), model.block_coefficients.data()};
+}
+
+int pairsOf(const Model& model)
+{
+  return model.nodes_per_tet * (model.nodes_per_tet + 1) / 2;
+}
+
+/** Calls loop(begin, end) of every thread's share of [0, count). */
+template <class Loop>
+void share(const Partition& partition, std::size_t count, const Loop& loop)
+{
+  const std::size_t threads = partition.threads();
+  forEachThread(partition, [&](int t) {
+    loop(static_cast<int>(count * t / threads), static_cast<int>(count * (t + 1) / threads));
+  });
+}
+
+std::size_t blocksOf(const AssembledMatrix& matrix)
+{
+  return matrix.column().size();
+}
+
+kernels::BlockRows rowsOf(AssembledMatrix& matrix)
+{
+  return {matrix.rowBegin().data(), matrix.column().data(), matrix.blocks().data()};
+}
+}  // namespace
+
+ElementMatrices::ElementMatrices(const Model& model)
+    : nodes(model.nodes_per_tet),
+      stride((9 * pairsOf(model) + LANES - 1) / LANES * LANES),
+      blocks(static_cast<std::size_t>(model.num_blocks) * LANES * stride)
+{
+}
+
+void rotatedGradientMatrices(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
+                             double beta, ElementMatrices& out)
+{
+  forEachThread(partition, [&](int t) {
+    kernels::table().element_matrices(elementsOf(model), partition.blockBegin(t), partition.blockEnd(t),
+                                      rotations.gradients.data(), alpha, beta, out.blocks.data());
+  });
+}
+
+RestStiffness restStiffness(const Model& model)
+{
+  ElementMatrices matrices(model);
+  rotatedGradientMatrices(model, Partition(model, 1), restRotations(model), 0, 1, matrices);
+  const std::size_t numbers = 9 * static_cast<std::size_t>(pairsOf(model));
+  RestStiffness stiffness(numbers * LANES * model.num_blocks);
+  for (std::size_t element = 0; element < static_cast<std::size_t>(model.num_blocks) * LANES; ++element)
+  {
+    for (std::size_t k = 0; k < numbers; ++k)
+    {
+      stiffness[(element / LANES * numbers + k) * LANES + element % LANES] =
+          matrices.blocks[element * matrices.stride + k];
+    }
+  }
+  return stiffness;
+}
+
+void warpedMatrices(const Model& model, const Partition& partition, const RestStiffness& stiffness,
+                    const Rotations& rotations, double alpha, double beta, ElementMatrices& out)
+{
+  forEachThread(partition, [&](int t) {
+    kernels::table().warped_matrices(elementsOf(model), partition.blockBegin(t), partition.blockEnd(t),
+                                     stiffness.data(), rotations.matrices.data(), alpha, beta, out.blocks.data());
+  });
+}
+
+AssembledMatrix::AssembledMatrix(const Model& model)
+{
+  const int n = model.nodes_per_tet;
+  std::vector<int> tets_begin(model.num_nodes + 1, 0), tets_of_node(model.tets.size());
+  for (const int node : model.tets) ++tets_begin[node + 1];
+  std::partial_sum(tets_begin.begin(), tets_begin.end(), tets_begin.begin());
+  std::vector<int> next(tets_begin.begin(), tets_begin.end() - 1);
+  for (std::size_t k = 0; k < model.tets.size(); ++k) tets_of_node[next[model.tets[k]]++] = static_cast<int>(k) / n;
+
+  row_begin_.push_back(0);
+  std::vector<int> row;
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    row.clear();
+    for (int k = tets_begin[i]; k < tets_begin[i + 1]; ++k)
+    {
+      const int* nodes = model.nodesOf(tets_of_node[k]);
+      row.insert(row.end(), nodes, nodes + n);
+    }
+    std::sort(row.begin(), row.end());
+    row.erase(std::unique(row.begin(), row.end()), row.end());
+    column_.insert(column_.end(), row.begin(), row.end());
+    row_begin_.push_back(static_cast<int>(column_.size()));
+  }
+  blocks_.assign(9 * column_.size() + 1, 0.0);
+}
+
+int AssembledMatrix::slot(int i, int j) const
+{
+  const auto begin = column_.begin() + row_begin_[i], end = column_.begin() + row_begin_[i + 1];
+  const auto found = std::lower_bound(begin, end, j);
+  return found == end || *found != j ? -1 : static_cast<int>(found - column_.begin());
+}
+
+void AssembledMatrix::product(const Partition& partition, const NodalField& u, NodalField& out) const
+{
+  const kernels::BlockRows rows{row_begin_.data(), column_.data(), const_cast<double*>(blocks_.data())};
+  forEachThread(partition, [&](int t) {
+    kernels::table().block_product(rows, partition.nodeBegin(t), partition.nodeEnd(t), u.data(), out.data());
+  });
+}
+
+void AssembledMatrix::diagonal(AlignedVector<double>& blocks) const
+{
+  for (int i = 0; i < rows(); ++i)
+  {
+    const double* from = blocks_.data() + 9 * static_cast<std::ptrdiff_t>(slot(i, i));
+    double* to = blocks.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i;
+    const std::array<int, 6> upper{0, 3, 6, 4, 7, 8};
+    for (int k = 0; k < 6; ++k) to[k] = from[upper[k]];
+    to[6] = to[7] = 0;
+  }
+}
+
+struct Assembler::Lists
+{
+  std::vector<int> slots;  // STORED_SLOTS: [element][pair][2]
+
+  // MESH_ORIENTED
+  std::vector<kernels::Contributions::Target> targets;
+  std::vector<long> from;
+};
+
+Assembler::Assembler(const Model& model, const AssembledMatrix& pattern, Traversal traversal)
+    : traversal_(traversal), lists_(std::make_unique<Lists>())
+{
+  if (traversal == Traversal::CONVENTIONAL) return;
+  const int n = model.nodes_per_tet;
+  std::vector<int>& slots = lists_->slots;
+  slots.reserve(2 * static_cast<std::size_t>(pairsOf(model)) * model.num_tets);
+  for (int t = 0; t < model.num_tets; ++t)
+  {
+    const int* nodes = model.nodesOf(t);
+    for (int I = 0; I < n; ++I)
+    {
+      for (int J = I; J < n; ++J)
+      {
+        slots.push_back(pattern.slot(nodes[I], nodes[J]));
+        slots.push_back(pattern.slot(nodes[J], nodes[I]));
+      }
+    }
+  }
+  if (traversal == Traversal::STORED_SLOTS) return;
+
+  // Contributions to the blocks of the upper triangle, those that lie the same way round first.
+  struct Contribution
+  {
+    int slot, mirror;
+    bool turned;
+    long from;
+  };
+  const ElementMatrices layout(model);
+  std::vector<Contribution> contributions;
+  contributions.reserve(slots.size() / 2);
+  std::size_t k = 0;
+  for (int t = 0; t < model.num_tets; ++t)
+  {
+    for (int I = 0; I < n; ++I)
+    {
+      for (int J = I; J < n; ++J, k += 2)
+      {
+        const auto [slot, mirror] = std::minmax(slots[k], slots[k + 1]);
+        contributions.push_back({slot, mirror, slots[k] > slots[k + 1], layout.at(t, I, J)});
+      }
+    }
+  }
+  std::stable_sort(contributions.begin(), contributions.end(), [](const Contribution& a, const Contribution& b) {
+    return a.slot != b.slot ? a.slot < b.slot : a.turned < b.turned;
+  });
+  slots.clear();
+  slots.shrink_to_fit();
+
+  auto& targets = lists_->targets;
+  auto& from = lists_->from;
+  from.reserve(contributions.size());
+  for (const Contribution& c : contributions)
+  {
+    const long here = static_cast<long>(from.size());
+    if (targets.empty() || targets.back().slot != c.slot) targets.push_back({c.slot, c.mirror, here, here});
+    from.push_back(c.from);
+    if (!c.turned) targets.back().turned = here + 1;
+  }
+  const long end = static_cast<long>(from.size());
+  targets.push_back({-1, -1, end, end});
+  from.resize(from.size() + kernels::READ_AHEAD, 0);
+}
+
+Assembler::~Assembler() = default;
+
+void Assembler::assemble(const Model& model, const Partition& partition, const ElementMatrices& elements,
+                         AssembledMatrix& out) const
+{
+  const double* matrices = elements.blocks.data();
+  const kernels::Table& table = kernels::table();
+  if (traversal_ == Traversal::MESH_ORIENTED)
+  {
+    const kernels::Contributions list{lists_->targets.data(), lists_->from.data()};
+    share(partition, lists_->targets.size() - 1,
+          [&](int begin, int end) { table.gather_blocks(list, begin, end, matrices, out.blocks().data()); });
+    return;
+  }
+  std::fill(out.blocks().begin(), out.blocks().end(), 0.0);
+  if (traversal_ == Traversal::CONVENTIONAL)
+  {
+    table.add_by_search(rowsOf(out), model.nodes_per_tet, model.num_tets, model.tets.data(), matrices);
+  }
+  else
+  {
+    table.add_by_slots(rowsOf(out), model.nodes_per_tet, model.num_tets, lists_->slots.data(), matrices);
+  }
+}
+
+struct FusedAssembler::Lists
+{
+  std::vector<kernels::MeshEntities::Vertex> vertices;
+  std::vector<kernels::MeshEntities::Edge> edges;
+  std::vector<kernels::MeshEntities::Face> faces;
+  std::vector<kernels::MeshEntities::Tet> tets;
+  std::vector<kernels::MeshEntities::Chunk> chunks;
+  std::vector<int> uses;
+  AlignedVector<int> corner_order;  // [block][4][LANES]
+  AlignedVector<double> products;   // [element][PRODUCTS_STRIDE], and an element of zeros
+};
+
+FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& pattern) : lists_(std::make_unique<Lists>())
+{
+  // Chunks whose blocks stay in the second-level cache while their vertices, edges, faces and tets are gone through.
+  constexpr int CHUNK = 128;
+  Lists& l = *lists_;
+  const std::size_t elements = static_cast<std::size_t>(model.num_blocks) * LANES;
+  l.products.assign((elements + 1) * kernels::PRODUCTS_STRIDE, 0.0);
+  l.corner_order.assign(elements * CORNERS, 0);
+
+  std::vector<int> entity(blocksOf(pattern), -1);  // at the place of a block that only this entity has
+  std::vector<std::vector<int>> vertex_uses, edge_uses;
+  const auto endOfChunk = [&] {
+    l.chunks.push_back({static_cast<int>(l.vertices.size()), static_cast<int>(l.edges.size()),
+                        static_cast<int>(l.faces.size()), static_cast<int>(l.tets.size())});
+  };
+  const auto set = [&](int(&pair)[2], int i, int j) {
+    pair[0] = pattern.slot(i, j);
+    pair[1] = pattern.slot(j, i);
+  };
+  for (int t = 0; t < model.num_tets; ++t)
+  {
+    if (t % CHUNK == 0) endOfChunk();
+    const int* nodes = model.nodesOf(t);
+    std::array<int, CORNERS> corner{0, 1, 2, 3};
+    std::sort(corner.begin(), corner.end(), [&](int a, int b) { return nodes[a] < nodes[b]; });
+    for (int s = 0; s < CORNERS; ++s)
+    {
+      l.corner_order[(static_cast<std::size_t>(t) / LANES * CORNERS + s) * LANES + t % LANES] = corner[s];
+    }
+    const auto node = [&](int a, int b) { return nodes[CONTROL_POINT[corner[a]][corner[b]]]; };
+    const auto use = [&](int local) { return 8 * t + local; };
+
+    for (int a = 0; a < CORNERS; ++a)
+    {
+      const int slot = pattern.slot(node(a, a), node(a, a));
+      if (entity[slot] < 0)
+      {
+        entity[slot] = static_cast<int>(l.vertices.size());
+        l.vertices.push_back({slot, 0});
+        vertex_uses.emplace_back();
+      }
+      vertex_uses[entity[slot]].push_back(use(a));
+    }
+    for (int e = 0; e < EDGES; ++e)
+    {
+      const auto [a, b] = EDGE_CORNERS[e];
+      const int slot = pattern.slot(node(a, a), node(b, b));
+      if (entity[slot] < 0)
+      {
+        entity[slot] = static_cast<int>(l.edges.size());
+        kernels::MeshEntities::Edge edge{};
+        set(edge.ends, node(a, a), node(b, b));
+        if (model.quadratic())
+        {
+          set(edge.first_middle, node(a, a), node(a, b));
+          set(edge.middle_second, node(a, b), node(b, b));
+          edge.middle = pattern.slot(node(a, b), node(a, b));
+        }
+        l.edges.push_back(edge);
+        edge_uses.emplace_back();
+      }
+      edge_uses[entity[slot]].push_back(use(e));
+    }
+    if (!model.quadratic()) continue;
+    for (int missing = 0; missing < CORNERS; ++missing)
+    {
+      const int a = missing == 0 ? 1 : 0, b = missing <= 1 ? 2 : 1, c = missing == 3 ? 2 : 3;
+      const int slot = pattern.slot(node(a, a), node(b, c));
+      if (entity[slot] < 0)
+      {
+        entity[slot] = static_cast<int>(l.faces.size());
+        kernels::MeshEntities::Face face{};
+        set(face.a_bc, node(a, a), node(b, c));
+        set(face.b_ac, node(b, b), node(a, c));
+        set(face.ab_c, node(a, b), node(c, c));
+        set(face.ab_ac, node(a, b), node(a, c));
+        set(face.ab_bc, node(a, b), node(b, c));
+        set(face.ac_bc, node(a, c), node(b, c));
+        face.uses[0] = use(missing);
+        face.uses[1] = 8 * static_cast<int>(elements);
+        l.faces.push_back(face);
+      }
+      else
+      {
+        l.faces[entity[slot]].uses[1] = use(missing);
+      }
+    }
+    kernels::MeshEntities::Tet tet{};
+    set(tet.ab_cd, node(0, 1), node(2, 3));
+    set(tet.ac_bd, node(0, 2), node(1, 3));
+    set(tet.ad_bc, node(0, 3), node(1, 2));
+    tet.element = t;
+    l.tets.push_back(tet);
+  }
+  endOfChunk();
+
+  const auto listUses = [&](auto& entities, const std::vector<std::vector<int>>& uses) {
+    for (std::size_t k = 0; k < entities.size(); ++k)
+    {
+      entities[k].begin = static_cast<int>(l.uses.size());
+      l.uses.insert(l.uses.end(), uses[k].begin(), uses[k].end());
+    }
+    entities.emplace_back();
+    entities.back().begin = static_cast<int>(l.uses.size());
+  };
+  listUses(l.vertices, vertex_uses);
+  listUses(l.edges, edge_uses);
+}
+
+FusedAssembler::~FusedAssembler() = default;
+
+void FusedAssembler::assemble(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
+                              double beta, AssembledMatrix& out)
+{
+  const Lists& l = *lists_;
+  double* products = lists_->products.data();
+  forEachThread(partition, [&](int t) {
+    kernels::table().gradient_products(elementsOf(model), partition.blockBegin(t), partition.blockEnd(t),
+                                       l.corner_order.data(), rotations.gradients.data(), alpha, beta, products);
+  });
+  const kernels::MeshEntities mesh{l.vertices.data(), l.edges.data(), l.faces.data(),
+                                   l.tets.data(),     l.uses.data(),  l.chunks.data()};
+  share(partition, l.chunks.size() - 1, [&](int begin, int end) {
+    kernels::table().fuse_blocks(mesh, model.nodes_per_tet, begin, end, products, out.blocks().data());
+  });
+}
+
+}  // namespace bezier_fem
