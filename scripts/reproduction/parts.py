@@ -110,10 +110,11 @@ def tolerance():
         speed.loglog(tolerances, [r["assembled"] for r in model["runs"]], line, color=color, marker="o", label=name)
         error.loglog(tolerances, [100 * r["error"] for r in model["runs"]], line, color=color, marker="o", label=name)
     speed.set(xlabel="tolerance", ylabel="ms a step, assembled")
-    error.set(xlabel="tolerance", ylabel="error after 1.2 s, % of the largest way")
+    error.set(xlabel="tolerance", ylabel="error, % of the largest way")
     for axes in (speed, error):
         axes.invert_xaxis()
-    speed.legend()
+    figure.legend(*speed.get_legend_handles_labels(), loc="upper center", ncol=4, frameon=False)
+    figure.tight_layout(rect=(0, 0, 1, 0.93))
     picture(figure, "tolerance")
     return {"models": models, "checks": []}
 
