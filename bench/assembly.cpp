@@ -1,6 +1,6 @@
 // Times the ways to a product with alpha M + beta K' of a body in motion, on one thread: element matrices, their
-// traversals, both at once, and no matrix at all. Everything is run in turn, many times over, because machines drift;
-// medians count, and their ratio to the yardstick.
+// traversals, both at once, and no matrix at all. Everything is run in turn, many times over, because machines drift:
+// a few times to bring its own data into the caches, once timed. Medians count, and their ratio to the yardstick.
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
@@ -61,6 +61,7 @@ nlohmann::json bench(const std::string& file, const std::vector<std::string>& ov
     yardstick.measure();
     for (Timed& stage : stages)
     {
+      for (int warm = 0; warm < WARM_UPS; ++warm) stage.run();
       const double start = milliseconds();
       stage.run();
       stage.ms.push_back(milliseconds() - start);

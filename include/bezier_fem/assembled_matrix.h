@@ -35,7 +35,8 @@ struct ElementMatrices
 void rotatedGradientMatrices(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
                              double beta, ElementMatrices& out);
 
-/** Element stiffness matrices of the rest shape, N/m: [block][pair][9][LANES]. To be made anew for a new material. */
+/** Element stiffness matrices of the rest shape, N/m: [block][pair][9][LANES], blocks by columns. To be made anew for a
+ * new material. */
 using RestStiffness = AlignedVector<double>;
 RestStiffness restStiffness(const Model& model);
 
@@ -65,7 +66,7 @@ public:
   int slot(int i, int j) const;
 
 private:
-  std::vector<int> row_begin_, column_;
+  std::vector<int> row_begin_, column_, diagonal_;
   AlignedVector<double> blocks_;
 };
 

@@ -16,6 +16,7 @@ struct SolveReport
   int iterations = 0;
   double residual = 0;  // at the solution, in the norm and relative to the scale of solve(); recomputed, not updated
   bool converged = true;
+  bool indefinite = false;  // stopped at a direction of negative curvature, with a solution that leads downhill
 };
 
 /**
@@ -51,6 +52,8 @@ public:
 
   /** sqrt(r^T B^-1 r) over the components that are not held. */
   double norm(const Partition& partition, const NodalField& r);
+  /** norm(r) relative to what a residual is relative to for the right-hand side b. */
+  double relativeNorm(const Partition& partition, const NodalField& r, const NodalField& b);
 
 private:
   double floor_ = 0;

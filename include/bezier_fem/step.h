@@ -18,6 +18,7 @@ namespace bezier_fem
 class AssembledSystem;
 class SpectralBound;
 struct GreenTangent;
+struct NewtonMemory;
 
 /** Everything about a body that changes in time. Positions and velocities of control points, not of material points. */
 struct State
@@ -84,7 +85,8 @@ struct Workspace
   int history = 0;                             // how many of last_change, last_but_one_change hold
   std::unique_ptr<AssembledSystem> assembled;  // where the settings ask for a matrix
   std::unique_ptr<SpectralBound> bound;        // of explicit steps
-  std::unique_ptr<GreenTangent> green;         // of Green's strain
+  std::unique_ptr<GreenTangent> green;         // of explicit steps of Green's strain
+  std::unique_ptr<NewtonMemory> newton;        // of implicit and static ones
 };
 
 /** The largest angle that an element may turn by in one lagged step, rad; METHOD: inflation by sqrt(1 + angle^2). */

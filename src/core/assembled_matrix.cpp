@@ -108,6 +108,7 @@ AssembledMatrix::AssembledMatrix(const Model& model)
     column_.insert(column_.end(), row.begin(), row.end());
     row_begin_.push_back(static_cast<int>(column_.size()));
   }
+  for (int i = 0; i < model.num_nodes; ++i) diagonal_.push_back(slot(i, i));
   blocks_.assign(9 * column_.size() + 1, 0.0);
 }
 
@@ -130,7 +131,7 @@ void AssembledMatrix::diagonal(AlignedVector<double>& blocks) const
 {
   for (int i = 0; i < rows(); ++i)
   {
-    const double* from = blocks_.data() + 9 * static_cast<std::ptrdiff_t>(slot(i, i));
+    const double* from = blocks_.data() + 9 * static_cast<std::ptrdiff_t>(diagonal_[i]);
     double* to = blocks.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i;
     const std::array<int, 6> upper{0, 3, 6, 4, 7, 8};
     for (int k = 0; k < 6; ++k) to[k] = from[upper[k]];
@@ -143,6 +144,7 @@ struct Assembler::Lists
   std::vector<int> slots;  // STORED_SLOTS: [element][pair][2]
 
   // MESH_ORIENTED
+  std::size_t num_targets = 0;
   std::vector<kernels::Contributions::Target> targets;
   std::vector<long> from;
 };
@@ -207,8 +209,9 @@ Assembler::Assembler(const Model& model, const AssembledMatrix& pattern, Travers
     if (!c.turned) targets.back().turned = here + 1;
   }
   const long end = static_cast<long>(from.size());
-  targets.push_back({-1, -1, end, end});
-  from.resize(from.size() + kernels::READ_AHEAD, 0);
+  lists_->num_targets = targets.size();
+  targets.resize(targets.size() + 1 + kernels::READ_AHEAD, {0, 0, end, end});
+  from.resize(from.size() + kernels::READ_AHEAD);
 }
 
 Assembler::~Assembler() = default;
@@ -221,7 +224,7 @@ void Assembler::assemble(const Model& model, const Partition& partition, const E
   if (traversal_ == Traversal::MESH_ORIENTED)
   {
     const kernels::Contributions list{lists_->targets.data(), lists_->from.data()};
-    share(partition, lists_->targets.size() - 1,
+    share(partition, lists_->num_targets,
           [&](int begin, int end) { table.gather_blocks(list, begin, end, matrices, out.blocks().data()); });
     return;
   }
@@ -263,7 +266,7 @@ FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& patter
     l.chunks.push_back({static_cast<int>(l.vertices.size()), static_cast<int>(l.edges.size()),
                         static_cast<int>(l.faces.size()), static_cast<int>(l.tets.size())});
   };
-  const auto set = [&](int(&pair)[2], int i, int j) {
+  const auto set = [&](int* pair, int i, int j) {
     pair[0] = pattern.slot(i, j);
     pair[1] = pattern.slot(j, i);
   };
@@ -299,12 +302,12 @@ FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& patter
       {
         entity[slot] = static_cast<int>(l.edges.size());
         kernels::MeshEntities::Edge edge{};
-        set(edge.ends, node(a, a), node(b, b));
+        set(edge.slots, node(a, a), node(b, b));
         if (model.quadratic())
         {
-          set(edge.first_middle, node(a, a), node(a, b));
-          set(edge.middle_second, node(a, b), node(b, b));
-          edge.middle = pattern.slot(node(a, b), node(a, b));
+          set(edge.slots + 2, node(a, a), node(a, b));
+          set(edge.slots + 4, node(a, b), node(b, b));
+          edge.slots[6] = pattern.slot(node(a, b), node(a, b));
         }
         l.edges.push_back(edge);
         edge_uses.emplace_back();
@@ -320,12 +323,12 @@ FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& patter
       {
         entity[slot] = static_cast<int>(l.faces.size());
         kernels::MeshEntities::Face face{};
-        set(face.a_bc, node(a, a), node(b, c));
-        set(face.b_ac, node(b, b), node(a, c));
-        set(face.ab_c, node(a, b), node(c, c));
-        set(face.ab_ac, node(a, b), node(a, c));
-        set(face.ab_bc, node(a, b), node(b, c));
-        set(face.ac_bc, node(a, c), node(b, c));
+        set(face.slots, node(a, a), node(b, c));
+        set(face.slots + 2, node(b, b), node(a, c));
+        set(face.slots + 4, node(a, b), node(c, c));
+        set(face.slots + 6, node(a, b), node(a, c));
+        set(face.slots + 8, node(a, b), node(b, c));
+        set(face.slots + 10, node(a, c), node(b, c));
         face.uses[0] = use(missing);
         face.uses[1] = 8 * static_cast<int>(elements);
         l.faces.push_back(face);
@@ -336,9 +339,9 @@ FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& patter
       }
     }
     kernels::MeshEntities::Tet tet{};
-    set(tet.ab_cd, node(0, 1), node(2, 3));
-    set(tet.ac_bd, node(0, 2), node(1, 3));
-    set(tet.ad_bc, node(0, 3), node(1, 2));
+    set(tet.slots, node(0, 1), node(2, 3));
+    set(tet.slots + 2, node(0, 2), node(1, 3));
+    set(tet.slots + 4, node(0, 3), node(1, 2));
     tet.element = t;
     l.tets.push_back(tet);
   }
@@ -350,11 +353,13 @@ FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& patter
       entities[k].begin = static_cast<int>(l.uses.size());
       l.uses.insert(l.uses.end(), uses[k].begin(), uses[k].end());
     }
-    entities.emplace_back();
-    entities.back().begin = static_cast<int>(l.uses.size());
+    entities.resize(entities.size() + kernels::READ_AHEAD);
+    entities[uses.size()].begin = static_cast<int>(l.uses.size());
   };
   listUses(l.vertices, vertex_uses);
   listUses(l.edges, edge_uses);
+  l.faces.resize(l.faces.size() + kernels::READ_AHEAD);
+  l.tets.resize(l.tets.size() + kernels::READ_AHEAD);
 }
 
 FusedAssembler::~FusedAssembler() = default;

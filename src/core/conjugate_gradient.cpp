@@ -90,6 +90,12 @@ double ConjugateGradient::norm(const Partition& partition, const NodalField& r)
   }));
 }
 
+double ConjugateGradient::relativeNorm(const Partition& partition, const NodalField& r, const NodalField& b)
+{
+  const double scale = std::max(norm(partition, b), floor_);
+  return scale == 0 ? 0 : norm(partition, r) / scale;
+}
+
 SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partition& partition, const NodalField& b,
                                      NodalField& u, double tolerance, int max_iterations)
 {
@@ -138,7 +144,11 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
       const double curvature =
           sumOverThreads(partition, [&](int begin, int end) { return kernel.dot(begin, end, p_.data(), q_.data()); });
       ++report.iterations;
-      if (!(curvature > 0)) break;
+      if (!(curvature > 0))
+      {
+        report.indefinite = true;
+        return report;
+      }
       const double before = rz;
       rz = sumOverThreads(partition, [&](int begin, int end) {
         return kernel.advance(begin, end, before / curvature, p_.data(), q_.data(), inverse_.data(), u.data(),

@@ -20,8 +20,8 @@ constexpr int INVERSE_STRIDE = 12;
 /** Doubles of an element's ten products H_cd, c <= d 12 each: columns of x, y, z and a fourth number. */
 constexpr int PRODUCTS_STRIDE = 120;
 
-/** So many entries ahead, gather_blocks() fetches what it will need. */
-constexpr int READ_AHEAD = 24;
+/** Lists of what to fetch soon end with so many marks more. */
+constexpr int READ_AHEAD = 16;
 
 struct Elements
 {
@@ -48,15 +48,15 @@ struct Contributions
     int slot, mirror;    // places of (i,j) and (j,i)
     long begin, turned;  // of `from`: contributions, of which those from `turned` on are transposed
   };
-  const Target* targets;  // with an end mark
-  const long* from;       // offsets in the element matrices, in doubles; READ_AHEAD more after the last
+  const Target* targets;  // then an end, and READ_AHEAD marks
+  const long* from;       // offsets in the element matrices, in doubles; then READ_AHEAD marks
 };
 
 /**
  * What the blocks of an assembled matrix belong to: the smallest vertex, edge, face or tetrahedron that has both
- * control points (Weber et al. 2011, Fig. 4). Corners a < b < c < d in order of their nodes; edges and faces are
- * those of an element's corners so ordered: 01 02 03 12 13 23, and faces by the corner that they do not have. Pairs of
- * slots are the places of a block and of its transpose. Every list ends with a mark.
+ * control points (Weber et al. 2011, Fig. 4). Corners a < b < c < d in the order of their nodes; an element's corners,
+ * edges (01 02 03 12 13 23) and faces (by the corner that they do not have) are numbered in that order. Slots are the
+ * places of a block and of its transpose, one after the other. Every list ends with READ_AHEAD marks.
  */
 struct MeshEntities
 {
@@ -67,20 +67,20 @@ struct MeshEntities
   };
   struct Edge
   {
-    int ends[2], first_middle[2], middle_second[2], middle;  // linear elements: ends only
-    int begin;
+    int slots[7];  // (a,b), (a,ab), (ab,b), and (ab,ab) once; linear elements: (a,b)
+    int begin;     // of `uses`
   };
   struct Face
   {
-    int a_bc[2], b_ac[2], ab_c[2], ab_ac[2], ab_bc[2], ac_bc[2];
-    int uses[2];  // on the boundary, the second is an element of zeros
+    int slots[12];  // (a,bc), (b,ac), (ab,c), (ab,ac), (ab,bc), (ac,bc)
+    int uses[2];    // on the boundary, the second is an element of zeros
   };
   struct Tet
   {
-    int ab_cd[2], ac_bd[2], ad_bc[2];
+    int slots[6];  // (ab,cd), (ac,bd), (ad,bc)
     int element;
   };
-  /** Entities come in chunks of neighbours; first ones of each. */
+  /** Entities come in chunks of neighbours; the first ones of each. */
   struct Chunk
   {
     int vertex, edge, face, tet;

@@ -33,6 +33,13 @@ inline void storePacked(double* p, const Block& b)
   p[8] = b.c[2][2];
 }
 
+/** A packed block may lie on two cache lines. */
+inline void prefetchForWriting(const double* p)
+{
+  __builtin_prefetch(p, 1);
+  __builtin_prefetch(p + 8, 1);
+}
+
 inline Block transpose(const Block& b)
 {
   const Node xz = __builtin_shufflevector(b.c[0], b.c[1], 0, 4, 2, 6);
@@ -256,7 +263,9 @@ void warpedMatrices(const Elements& elements, int begin, int end, const double* 
       const Vec mass = alpha * load(elements.coefficients + (3L * block + 2) * LANES + part);
       for (int p = 0; p < Matrix::PAIRS; ++p)
       {
-        const Mat k = loadMatrix(stiffness + 9L * LANES * (static_cast<long>(block) * Matrix::PAIRS + p) + part);
+        const double* columns = stiffness + 9L * LANES * (static_cast<long>(block) * Matrix::PAIRS + p) + part;
+        Mat k;
+        for (int e = 0; e < 9; ++e) k.m[e % 3][e / 3] = load(columns + static_cast<long>(e) * LANES);
         const Mat t = scaled * k;
         Mat m;
         for (int i = 0; i < 3; ++i)
@@ -332,17 +341,17 @@ void addBySlots(const BlockRows& rows, int tets, const int* slots, const double*
 
 void gatherBlocks(const Contributions& list, int begin, int end, const double* matrices, double* blocks)
 {
-  constexpr int AHEAD = READ_AHEAD;
   const long* from = list.from + list.targets[begin].begin;
   for (int k = begin; k < end; ++k)
   {
     const auto& target = list.targets[k];
+    prefetchForWriting(blocks + 9L * list.targets[k + READ_AHEAD].mirror);
     Block sum = {};
     const long* straight_end = list.from + target.turned;
     const long* turned_end = list.from + list.targets[k + 1].begin;
     for (; from < straight_end; ++from)
     {
-      __builtin_prefetch(matrices + from[AHEAD]);
+      __builtin_prefetch(matrices + from[READ_AHEAD]);
       sum = sum + loadPacked(matrices + *from);
     }
     if (from < turned_end)
@@ -350,7 +359,7 @@ void gatherBlocks(const Contributions& list, int begin, int end, const double* m
       Block turned = {};
       for (; from < turned_end; ++from)
       {
-        __builtin_prefetch(matrices + from[AHEAD]);
+        __builtin_prefetch(matrices + from[READ_AHEAD]);
         turned = turned + loadPacked(matrices + *from);
       }
       sum = sum + transpose(turned);
@@ -436,6 +445,11 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
 {
   constexpr int EDGE[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
   constexpr int FACE[4][3] = {{1, 2, 3}, {0, 2, 3}, {0, 1, 3}, {0, 1, 2}};
+  // So many entities ahead, the blocks are fetched that will be written.
+  constexpr int EDGES_AHEAD = 4, FACES_AHEAD = 3, TETS_AHEAD = 6;
+  const auto willWrite = [&](const auto& slots) {
+    for (const int slot : slots) prefetchForWriting(blocks + 9L * slot);
+  };
   const auto element = [&](int use) { return products + static_cast<long>(PRODUCTS_STRIDE) * (use >> 3); };
   for (int chunk = begin; chunk < end; ++chunk)
   {
@@ -454,6 +468,7 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
     for (int k = from.edge; k < to.edge; ++k)
     {
       const auto& edge = mesh.edges[k];
+      willWrite(mesh.edges[k + EDGES_AHEAD].slots);
       Block aa = {}, ab = {}, bb = {};
       for (int u = edge.begin; u < mesh.edges[k + 1].begin; ++u)
       {
@@ -464,13 +479,13 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
         if (NODES == 10) bb = bb + loadProduct(e, b, b);
       }
       const double mass = massOf(aa);
-      storePair(blocks, edge.ends, addMass(ab, mass));
+      storePair(blocks, edge.slots, addMass(ab, mass));
       if constexpr (NODES == 10)
       {
         const Block two_ab = twice(ab);
-        storePair(blocks, edge.first_middle, addMass(two_ab + aa, 3 * mass));
-        storePair(blocks, edge.middle_second, addMass(two_ab + bb, 3 * mass));
-        storePacked(blocks + 9L * edge.middle, addMass(twice(aa + bb) + (ab + transpose(ab)), 4 * mass));
+        storePair(blocks, edge.slots + 2, addMass(two_ab + aa, 3 * mass));
+        storePair(blocks, edge.slots + 4, addMass(two_ab + bb, 3 * mass));
+        storePacked(blocks + 9L * edge.slots[6], addMass(twice(aa + bb) + (ab + transpose(ab)), 4 * mass));
       }
     }
     if constexpr (NODES == 10)
@@ -478,6 +493,7 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
       for (int k = from.face; k < to.face; ++k)
       {
         const auto& face = mesh.faces[k];
+        willWrite(mesh.faces[k + FACES_AHEAD].slots);
         const double *e = element(face.uses[0]), *f = element(face.uses[1]);
         const int *of_e = FACE[face.uses[0] & 7], *of_f = FACE[face.uses[1] & 7];
         const auto sum = [&](int a, int b) {
@@ -486,24 +502,25 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
         const Block aa = sum(0, 0), ab = sum(0, 1), ac = sum(0, 2), bb = sum(1, 1), bc = sum(1, 2), cc = sum(2, 2);
         const double mass = massOf(aa);
         const Block ba = transpose(ab), cb = transpose(bc);
-        storePair(blocks, face.a_bc, addMass(ab + ac, mass));
-        storePair(blocks, face.b_ac, addMass(bc + ba, mass));
-        storePair(blocks, face.ab_c, addMass(bc + ac, mass));
-        storePair(blocks, face.ab_ac, addMass(twice(bc) + (ba + ac) + aa, 2 * mass));
-        storePair(blocks, face.ab_bc, addMass(twice(ac) + (ab + bc) + bb, 2 * mass));
-        storePair(blocks, face.ac_bc, addMass(twice(ab) + (cb + ac) + cc, 2 * mass));
+        storePair(blocks, face.slots, addMass(ab + ac, mass));
+        storePair(blocks, face.slots + 2, addMass(bc + ba, mass));
+        storePair(blocks, face.slots + 4, addMass(bc + ac, mass));
+        storePair(blocks, face.slots + 6, addMass(twice(bc) + (ba + ac) + aa, 2 * mass));
+        storePair(blocks, face.slots + 8, addMass(twice(ac) + (ab + bc) + bb, 2 * mass));
+        storePair(blocks, face.slots + 10, addMass(twice(ab) + (cb + ac) + cc, 2 * mass));
       }
       for (int k = from.tet; k < to.tet; ++k)
       {
         const auto& tet = mesh.tets[k];
+        willWrite(mesh.tets[k + TETS_AHEAD].slots);
         const double* e = products + static_cast<long>(PRODUCTS_STRIDE) * tet.element;
         const double mass = massOf(loadProduct(e, 0, 0));
         const Block ab = loadProduct(e, 0, 1), ac = loadProduct(e, 0, 2), ad = loadProduct(e, 0, 3);
         const Block bc = loadProduct(e, 1, 2), bd = loadProduct(e, 1, 3), cd = loadProduct(e, 2, 3);
         const Block cb = transpose(bc);
-        storePair(blocks, tet.ab_cd, addMass((bd + bc) + (ad + ac), mass));
-        storePair(blocks, tet.ac_bd, addMass((cd + cb) + (ad + ab), mass));
-        storePair(blocks, tet.ad_bc, addMass(transpose(cd + bd) + (ac + ab), mass));
+        storePair(blocks, tet.slots, addMass((bd + bc) + (ad + ac), mass));
+        storePair(blocks, tet.slots + 2, addMass((cd + cb) + (ad + ab), mass));
+        storePair(blocks, tet.slots + 4, addMass(transpose(cd + bd) + (ac + ab), mass));
       }
     }
   }

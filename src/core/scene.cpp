@@ -537,8 +537,6 @@ Scene readScene(const YamlNode& root, const Origin& origin)
                                           {"explicit", Integrator::EXPLICIT},
                                           {"static", Integrator::STATIC}});
   });
-  if (scene.elasticity == Elasticity::GREEN && scene.integrator != Integrator::EXPLICIT)
-    map.find("elasticity")->error("is green, which is not available yet but for integrator: explicit");
   if (const auto found = map.find("solver")) readSolver(*found, scene.solver);
   if (const auto found = map.find("initial"))
   {

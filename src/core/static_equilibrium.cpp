@@ -2,8 +2,10 @@
 #include <cmath>
 
 #include "bezier_fem/element_operator.h"
+#include "bezier_fem/measures.h"
 #include "bezier_fem/step.h"
 #include "forces.h"
+#include "newton.h"
 
 namespace bezier_fem
 {
@@ -56,12 +58,58 @@ private:
   Workspace& w_;
 };
 
+/** Newton's method for Green's strain, whose force has a derivative and an energy. */
+StepReport greenEquilibrium(const Model& model, const StepSettings& settings, const Supports& supports,
+                            const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                            Workspace& w, const std::function<void(int, double)>& progress)
+{
+  constexpr int MAX_ROUNDS = 300;
+  if (!w.newton) w.newton = std::make_unique<NewtonMemory>(model, w.partition);
+  NewtonMemory& m = *w.newton;
+  // The sum that is minimised: U(x_0 + v) - f_ext . v, with a pressure's force that of the start of each round.
+  state.v.setZero();
+  GreenNewton newton(model, supports, state.rotations, 1, 0, 0, 0, state.x, state.v, w);
+  StepReport report;
+  double before = 0;
+  for (int round = 0;; ++round)
+  {
+    externalForce(model, settings, loads, external, state.time, state.x, w.load);
+    m.quadratic.matrix() = -w.load.matrix();
+    newton.start();
+    const Norms out_of_balance = norms(supports, m.gradient, model.num_nodes);
+    const Norms applied = norms(supports, w.load, model.num_nodes);
+    const double scale = std::hypot(applied.free, applied.held) + out_of_balance.held;
+    report.residual = scale > 0 ? out_of_balance.free / scale : 0;
+    report.finite = std::isfinite(out_of_balance.free);
+    report.converged = report.residual <= settings.solver.tolerance;
+    if (progress) progress(round, report.residual);
+    if (report.converged || !report.finite || round == MAX_ROUNDS) break;
+
+    const double forcing = round == 0 ? 0.03 : 0.9 * std::pow(report.residual / before, 2);
+    before = report.residual;
+    newton.linearise(Projection::NONE);
+    if (!newton.iterate(std::clamp(forcing, 0.1 * settings.solver.tolerance, 0.03),
+                        100 * settings.solver.max_iterations, report))
+    {
+      break;
+    }
+  }
+  w.balance.matrix() = m.gradient.matrix();
+  report.inverted = invertedElements(model, state.x);
+  state.v.setZero();
+  w.forgetHistory();
+  return report;
+}
 }  // namespace
 
 StepReport solveStatic(const Model& model, const StepSettings& settings, const Supports& supports,
                        const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w,
                        const std::function<void(int, double)>& progress)
 {
+  if (settings.elasticity == Elasticity::GREEN)
+  {
+    return greenEquilibrium(model, settings, supports, loads, external, state, w, progress);
+  }
   constexpr int MAX_ROUNDS = 300, MAX_TRIALS = 10;
   // Linear: one system, so its residual has to be small enough at once. Co-rotated: K' is not the derivative of the
   // force, so a round gains two digits at best.

@@ -7,6 +7,7 @@
 #include "bezier_fem/green_strain.h"
 #include "bezier_fem/stable_step.h"
 #include "forces.h"
+#include "newton.h"
 #include "stopwatch.h"
 
 namespace bezier_fem
@@ -107,6 +108,10 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
                              const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
                              Workspace& w)
 {
+  if (settings.elasticity == Elasticity::GREEN)
+  {
+    return newtonStep(model, settings, supports, loads, external, state, w);
+  }
   StepReport report;
   report.substeps = 0;
   report.inverted = state.rotations.inverted(model.num_tets);

@@ -1,0 +1,217 @@
+#include "newton.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "bezier_fem/element_operator.h"
+#include "bezier_fem/measures.h"
+#include "forces.h"
+#include "stopwatch.h"
+
+namespace bezier_fem
+{
+NewtonMemory::NewtonMemory(const Model& model, const Partition& partition)
+    : tangent(model),
+      damping(model),
+      quadratic(model.num_nodes),
+      gradient(model.num_nodes),
+      first(model.num_nodes),
+      bend(partition.rows()),
+      x(model.num_nodes)
+{
+}
+
+GreenNewton::GreenNewton(const Model& model, const Supports& supports, const Rotations& rest, double h, double alpha,
+                         double beta, double load_floor, NodalField& x, NodalField& v, Workspace& workspace)
+    : model_(model),
+      supports_(supports),
+      rest_(rest),
+      h_(h),
+      alpha_(alpha),
+      beta_(beta),
+      load_floor_(load_floor),
+      x_(x),
+      v_(v),
+      w_(workspace),
+      m_(*workspace.newton),
+      // K_0 of the damping is replaced by the iterate's K: close to it, and one product instead of two.
+      system_(model, workspace.partition, m_.tangent, alpha, h * h + beta)
+{
+}
+
+void GreenNewton::quadraticProduct(const NodalField& u, NodalField& out) const
+{
+  if (beta_ > 0)
+  {
+    systemProduct(model_, w_.partition, m_.damping, alpha_, beta_, u, out);
+  }
+  else if (alpha_ > 0)
+  {
+    systemProduct(model_, w_.partition, rest_, alpha_, 0, u, out);
+  }
+  else
+  {
+    out.setZero();
+  }
+}
+
+void GreenNewton::evaluate()
+{
+  greenForce(model_, w_.partition, x_, w_.force);
+  m_.gradient.matrix() = m_.quadratic.matrix() + h_ * nodes(w_.force, model_);
+}
+
+void GreenNewton::start()
+{
+  evaluate();
+  energy_ = greenEnergy(model_, x_);
+  m_.first.matrix() = m_.gradient.matrix();
+}
+
+void GreenNewton::tryDirection(const NodalField& direction)
+{
+  search(direction, 1);
+}
+
+void GreenNewton::linearise(Projection projection)
+{
+  bezier_fem::linearise(model_, w_.partition, x_, projection, m_.tangent);
+  projected_ = projection != Projection::NONE;
+  w_.solver.prepare(system_, model_, w_.partition, supports_.held, load_floor_);
+}
+
+bool GreenNewton::solve(double forcing, int max_iterations, StepReport& report)
+{
+  w_.rhs.matrix() = -m_.gradient.matrix();
+  w_.change.setZero();
+  const SolveReport solved = w_.solver.solve(system_, w_.partition, w_.rhs, w_.change, forcing, max_iterations);
+  report.iterations += solved.iterations;
+  return !solved.indefinite && m_.gradient.matrix().cwiseProduct(w_.change.matrix()).sum() < 0;
+}
+
+bool GreenNewton::iterate(double forcing, int max_iterations, StepReport& report)
+{
+  constexpr int TRIALS = 25;
+  if (solve(forcing, max_iterations, report) && search(w_.change, TRIALS)) return true;
+  if (projected_) return false;
+  linearise(Projection::POSITIVE_STRESS);
+  return solve(forcing, max_iterations, report) && search(w_.change, TRIALS);
+}
+
+bool GreenNewton::search(const NodalField& direction, int trials)
+{
+  // Along v + length * direction the quadratic part is known exactly, which leaves the rounding of U only.
+  quadraticProduct(direction, m_.bend);
+  const double quadratic_slope = m_.quadratic.matrix().cwiseProduct(direction.matrix()).sum();
+  const double curvature = nodes(m_.bend, model_).cwiseProduct(direction.matrix()).sum();
+  const double slope = m_.gradient.matrix().cwiseProduct(direction.matrix()).sum();
+  m_.x.matrix() = x_.matrix();
+  double length = 1;
+  for (int trial = 0; trial < trials; ++trial)
+  {
+    x_.matrix() = m_.x.matrix() + length * h_ * direction.matrix();
+    greenForce(model_, w_.partition, x_, w_.force);
+    const double energy = greenEnergy(model_, x_);
+    const double change = energy - energy_ + length * (quadratic_slope + length / 2 * curvature);
+    const double slope_there =
+        quadratic_slope + length * curvature + h_ * nodes(w_.force, model_).cwiseProduct(direction.matrix()).sum();
+    // Enough of a decrease (Armijo 1966); or, where rounding hides that, a slope that has become less steep (Hager and
+    // Zhang 2005).
+    const double rounding = 1e-13 * (std::abs(energy) + std::abs(energy_));
+    if (change <= 1e-4 * length * std::min(slope, 0.0) ||
+        (std::abs(slope_there) <= 0.9 * std::abs(slope) && change <= rounding))
+    {
+      v_.matrix() += length * direction.matrix();
+      m_.quadratic.matrix() += length * nodes(m_.bend, model_);
+      m_.gradient.matrix() = m_.quadratic.matrix() + h_ * nodes(w_.force, model_);
+      energy_ = energy;
+      return true;
+    }
+    // The zero of the slope on a straight line, where there is one.
+    const double cut = slope_there > 0 ? slope / (slope - slope_there) : 0.5;
+    length *= std::clamp(cut, 0.1, 0.5);
+  }
+  x_.matrix() = m_.x.matrix();
+  return false;
+}
+
+StepReport newtonStep(const Model& model, const StepSettings& settings, const Supports& supports,
+                      const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w)
+{
+  constexpr int MAX_ROUNDS = 50;
+  StepReport report;
+  Stopwatch total, watch;
+  if (!w.newton) w.newton = std::make_unique<NewtonMemory>(model, w.partition);
+  NewtonMemory& m = *w.newton;
+  const double h = settings.time_step, damp_m = settings.damping.mass, damp_k = settings.damping.stiffness;
+  const int max_iterations = std::max(1, settings.solver.max_iterations);
+
+  // The sum's gradient is the momentum that is out of balance,
+  //     M (v - v_0) + h (f_el(x_0 + h v) + D v - f_ext),   D = a M + b K_0 held during the step.
+  if (damp_k > 0) linearise(model, w.partition, state.x, Projection::POSITIVE_STRESS, m.damping);
+  w.x_before.matrix() = state.x.matrix();
+  w.v_before.matrix() = state.v.matrix();
+  externalForce(model, settings, loads, external, state.time + h / 2, state.x, w.load);
+  // Held and led components start, and stay, where they have to be at the end of the step.
+  w.led.matrix() = state.x.matrix() + h * state.v.matrix();
+  state.x.matrix() = w.led.matrix();
+  applySupports(supports, state.time + h, 1, state.x);
+  state.v.matrix() += (state.x.matrix() - w.led.matrix()) / h;
+
+  GreenNewton newton(model, supports, state.rotations, h, 1 + h * damp_m, h * damp_k, 1e-3 * h, state.x, state.v, w);
+  newton.quadraticProduct(state.v, w.force);
+  m.quadratic.matrix() = nodes(w.force, model) - h * w.load.matrix();
+  systemProduct(model, w.partition, state.rotations, 1, 0, w.v_before, w.force);
+  m.quadratic.matrix() -= nodes(w.force, model);
+  newton.start();
+  if (w.history == 2)
+  {
+    w.change.matrix() = 2 * w.last_change.matrix() - w.last_but_one_change.matrix();
+    newton.tryDirection(w.change);
+  }
+  watch.lap(report.ms.force);
+
+  double before = 0;
+  for (int round = 0;; ++round)
+  {
+    newton.linearise(Projection::NONE);
+    watch.lap(report.ms.assembly);
+    const auto residual = [&] { return w.solver.relativeNorm(w.partition, m.gradient, m.first); };
+    if (round == 0) report.residual = residual();
+    report.converged = report.residual <= settings.solver.tolerance;
+    report.finite = std::isfinite(report.residual);
+    if (report.converged || !report.finite || round == MAX_ROUNDS) break;
+
+    // Eisenstat and Walker 1996, choice 2; no more than is needed to end a little below the tolerance.
+    double forcing = round == 0 ? 0.03 : 0.9 * std::pow(report.residual / before, 2);
+    forcing = std::clamp(forcing, 0.3 * settings.solver.tolerance / report.residual, 0.1);
+    before = report.residual;
+    if (!newton.iterate(forcing, max_iterations, report)) break;
+    report.residual = residual();
+    watch.lap(report.ms.solve);
+    if (report.residual <= settings.solver.tolerance)
+    {
+      report.converged = true;
+      break;
+    }
+  }
+  w.balance.matrix() = m.gradient.matrix() / h;
+  report.inverted = invertedElements(model, state.x);
+
+  std::swap(w.last_change, w.last_but_one_change);
+  w.last_change.matrix() = state.v.matrix() - w.v_before.matrix();
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    for (int axis = 0; axis < 3; ++axis)
+    {
+      if (supports.held[i] >> axis & 1) w.last_change[i][axis] = 0;
+    }
+  }
+  w.history = std::min(w.history + 1, 2);
+  ++state.steps;
+  state.time = h * static_cast<double>(state.steps);
+  total.lap(report.ms.total);
+  return report;
+}
+
+}  // namespace bezier_fem

@@ -1,0 +1,73 @@
+#pragma once
+
+#include "bezier_fem/green_strain.h"
+#include "bezier_fem/step.h"
+#include "bezier_fem/system_operator.h"
+
+namespace bezier_fem
+{
+/** Scratch memory of Newton's method. */
+struct NewtonMemory
+{
+  NewtonMemory(const Model& model, const Partition& partition);
+
+  GreenTangent tangent;  // at the iterate
+  GreenTangent damping;  // K_0 of the quadratic part
+  NodalField quadratic;  // gradient of the quadratic part at the iterate
+  NodalField gradient;   // of the sum
+  NodalField first;      // the same where the residual is measured from
+  NodalField bend;       // how `quadratic` changes along a direction; partition.rows() rows
+  NodalField x;          // positions that a line search starts from
+};
+
+/**
+ * Minimises U(x_0 + h v) + q(v), U the energy of Green's strain and q quadratic with the second derivative
+ * alpha M + beta K_0, over the components of v that are free: inexact Newton with a line search, each step of which
+ * lowers the sum. A system is solved with the derivative of the force itself, and where that turns out not to be
+ * positive definite with the projected one, which is stiffer than the body where it is compressed but leads downhill.
+ */
+class GreenNewton
+{
+public:
+  /** Keeps references to its arguments; K_0 is the damping tangent of workspace.newton. */
+  GreenNewton(const Model& model, const Supports& supports, const Rotations& rest, double h, double alpha, double beta,
+              double load_floor, NodalField& x, NodalField& v, Workspace& workspace);
+
+  /** out = (alpha M + beta K_0) u */
+  void quadraticProduct(const NodalField& u, NodalField& out) const;
+  /** To be called when x, v and the quadratic part's gradient have been set. */
+  void start();
+  /** Takes the whole direction if that lowers the sum. */
+  void tryDirection(const NodalField& direction);
+  /** Sets the system of the iterate. */
+  void linearise(Projection projection);
+  /**
+   * A step from the iterate of the last linearise().
+   * @param forcing  tolerance of the linear system
+   * @return  false where no step lowers the sum
+   */
+  bool iterate(double forcing, int max_iterations, StepReport& report);
+
+private:
+  bool solve(double forcing, int max_iterations, StepReport& report);
+  bool search(const NodalField& direction, int trials);
+  void evaluate();
+
+  const Model& model_;
+  const Supports& supports_;
+  const Rotations& rest_;
+  const double h_, alpha_, beta_, load_floor_;
+  NodalField &x_, &v_;
+  Workspace& w_;
+  NewtonMemory& m_;
+  MatrixFreeSystem<GreenTangent> system_;
+  double energy_ = 0;  // U(x), J
+  bool projected_ = false;
+};
+
+/** implicitEulerStep() of Green's strain. */
+StepReport newtonStep(const Model& model, const StepSettings& settings, const Supports& supports,
+                      const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                      Workspace& workspace);
+
+}  // namespace bezier_fem
