@@ -50,7 +50,7 @@ Eigen::Vector3i cubicCells(int across)
 
 StepSettings barSettings(Elasticity elasticity, double tolerance)
 {
-  const Scene defaults;
+  Scene defaults;
   StepSettings settings{};
   settings.time_step = 0.02;
   settings.rotation = defaults.rotation;

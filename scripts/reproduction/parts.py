@@ -199,8 +199,8 @@ def fig8():
         orders[law] = float(np.log(errors[law][-2] / errors[law][-1]) / np.log(steps[-2] / steps[-1]))
         axes[0].set(title=f"implicit steps: {name}", ylabel="y (m)")
         axes[1].set(ylabel="z (m)", xlabel="time (ms)")
-        axes[0].legend(fontsize=7)
-    figure.tight_layout()
+    figure.legend(*all_axes[0, 0].get_legend_handles_labels(), loc="upper center", ncol=4, frameon=False)
+    figure.tight_layout(rect=(0, 0, 1, 0.91))
     picture(figure, "fig8")
     low = {law: [float(common[k]), *map(float, ways[law][1][k, 1:])] for law, k in lowest.items()}
     y, t = low["corotated"][1], low["corotated"][0]
@@ -359,8 +359,10 @@ def convergence():
                         label=f"{element}, order {last[problem, quantity, element]:.2f} at the end")
     for axes, title in ((smooth, "smooth problem: displacement"), (stress, "smooth problem: stress"),
                         (bar, "clamped bar: deflection of the tip")):
-        axes.set(title=title, xlabel="h (m)", ylabel="relative error")
-        axes.legend()
+        axes.set(title=title, xlabel="h (m)", ylabel="relative error", xticks=[0.03, 0.1, 0.3])
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("")
+        axes.legend(loc="lower right", fontsize=8)
     figure.tight_layout()
     picture(figure, "convergence")
     for element, quantity, least in (("quadratic", "displacement", 2.9), ("linear", "displacement", 1.9),

@@ -63,7 +63,7 @@ def folder(*names):
 
 def picture(figure, name):
     os.makedirs(PICTURES, exist_ok=True)
-    figure.savefig(os.path.join(PICTURES, name + ".png"), dpi=130)
+    figure.savefig(os.path.join(PICTURES, name + ".png"), dpi=110)
 
 
 def overrides(values):
