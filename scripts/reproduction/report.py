@@ -166,7 +166,7 @@ def fig8(part):
     yield "## Fig. 8: way of the bar's lower corner"
     yield ""
     yield ("`config/bar.yaml`: 0.4 × 0.4 × 1 m, 2 × 2 × 5 cells of six quadratic tets, E 200 kPa, ν 0.34, 500 kg/m³, one end "
-           "held, gravity across it, tolerance 1e-6.")
+           f"held, gravity across it, tolerance {power(TOLERANCE)}.")
     yield ""
     yield "![Way of the corner over time](reproduction/fig8.png)"
     yield ""

@@ -154,7 +154,7 @@ def machine():
 def save(part, result):
     os.makedirs(WORK, exist_ok=True)
     with open(os.path.join(WORK, part + ".json"), "w", encoding="utf-8") as out:
-        json.dump(result, out, indent=1)
+        json.dump(result, out, indent=1, default=lambda number: number.item())  # NumPy's
 
 
 def saved(part):
