@@ -10,8 +10,8 @@ from pictures import (PAIR, Camera, colour_bar, draw_elements, draw_surface, pyp
 from tools import (SOLVER, STEPS, TOLERANCE, Failed, call, config, falling, folder, picture, program, read_nodes,
                    read_probe, run_scene, say, write_start, REPOSITORY)
 
-# name in [W11], element, surface, cell size (m, of a body 1 m long), tets and ms as printed: rotations, element matrices,
-# matrix (and by the usual traversal), force, solve, surface, all
+# Name in the paper, element, surface, cell size (m, of a body 1 m long); as printed: tets, nodes, and ms for rotations,
+# element matrices, matrix, matrix by the usual traversal, force, solve, surface, all
 TABLE_1 = [
     ("mechanical part", "linear", "anchor_dense", 0.0283, 34446, 6896, (81, 45, 49, None, 70, 58, None, 304)),
     ("bunny huge", "linear", "bunny", 0.047, 9997, 2087, (22, 13, 13, None, 20, 16, None, 85)),
@@ -98,8 +98,8 @@ def tolerance():
             say(f"tolerance: {label}, {element}, {value:.0e}")
             free, end = positions(value, "matrix_free")
             assembled, _ = positions(value, "assembled")
-            runs.append({"tolerance": value, "iterations": free["iterations"], "matrix_free": free["ms_per_step"]["total"],
-                         "assembled": assembled["ms_per_step"]["total"],
+            runs.append({"tolerance": value, "iterations": free["iterations"],
+                         "matrix_free": free["ms_per_step"]["total"], "assembled": assembled["ms_per_step"]["total"],
                          "error": np.linalg.norm(end[1] - exact, axis=1).max() / moved})
         models.append({"label": label, "element": element, "tets": free["elements"], "nodes": free["nodes"],
                        "moved": moved, "runs": runs})
@@ -128,18 +128,19 @@ def fig6():
     for element, cell_size in kinds:
         out = folder("fig6", f"{element}_{cell_size}")
         say(f"fig6: {element}, cell size {cell_size} m")
-        summary = run_scene(config("armadillo.yaml"), out, "--duration", 2.2, "--every", 10, "--surface", out, "--probes",
-                            os.path.join(out, "probes.csv"), element=element, model__cell_size=cell_size,
+        table = os.path.join(out, "probes.csv")
+        summary = run_scene(config("armadillo.yaml"), out, "--duration", 2.2, "--every", 10, "--surface", out,
+                            "--probes", table, element=element, rotation="corners", model__cell_size=cell_size,
                             solver__max_iterations=SOLVER["max_iterations"])
-        ways = {name: read_probe(os.path.join(out, "probes.csv"), name) for name in probes}
+        ways = {name: read_probe(table, name) for name in probes}
         models.append({"element": element, "tets": summary["elements"], "nodes": summary["nodes"],
                        "ms": summary["ms_per_step"]["total"], "folder": out,
                        "ways": {name: way[1].tolist() for name, way in ways.items()}})
     times = ways["nose"][0]
     fine = models[-1]
     for model in models:
-        model["apart"] = {name: float(np.linalg.norm(np.subtract(model["ways"][name], fine["ways"][name]), axis=1).max())
-                          for name in probes}
+        apart = {name: np.subtract(model["ways"][name], fine["ways"][name]) for name in probes}
+        model["apart"] = {name: np.linalg.norm(distance, axis=1).max() for name, distance in apart.items()}
 
     camera = Camera(-35, 8)
     instants = [10, 11]  # rows of 0.2 s
@@ -162,7 +163,7 @@ def fig6():
 def swing(out, **values):
     """The bar's swing: the way of its lower corner."""
     probes = os.path.join(out, "probes.csv")
-    run_scene(config("bar.yaml"), out, "--duration", 0.9, "--probes", probes, solver__tolerance=TOLERANCE,
+    run_scene(config("bar.yaml"), out, "--duration", 0.9, "--probes", probes, rotation="corners", solver__tolerance=TOLERANCE,
               solver__max_iterations=SOLVER["max_iterations"], **values)
     return read_probe(probes, BAR["probe"])
 
@@ -184,19 +185,19 @@ def fig8():
     apart = np.linalg.norm(ways["corotated"][1] - at(*ways["green"], common), axis=1).max()
 
     figure, all_axes = pyplot.subplots(2, 2, figsize=(9, 6), sharex=True)
-    for axes, (law, (name, color)) in zip(all_axes.T, laws.items()):
-        for (_, other), k in zip(ways.values(), (0, 1)):
-            style = {"color": list(laws.values())[k][1], "lw": 1.6, "label": f"{list(laws.values())[k][0]}, explicit, 0.5 ms"}
-            axes[0].plot(1000 * common, other[:, 1], **style)
-            axes[1].plot(1000 * common, other[:, 2], **style)
+    for axes, (law, (name, _)) in zip(all_axes.T, laws.items()):
+        for other, (label, shade) in laws.items():
+            for panel, axis in zip(axes, (1, 2)):
+                panel.plot(1000 * common, ways[other][1][:, axis], color=shade, lw=1.6,
+                           label=f"{label}, explicit, 0.5 ms")
         errors[law] = []
         for number, step in enumerate(steps):
             say(f"fig8: {law}, implicit, {1000 * step:g} ms")
             times, way = swing(out, elasticity=law, time_step=step)
             errors[law].append(float(np.linalg.norm(way - at(*ways[law], times), axis=1).max()))
-            shade = str(0.75 - 0.15 * number)
-            axes[0].plot(1000 * times, way[:, 1], color=shade, lw=0.9, label=f"implicit, {1000 * step:g} ms")
-            axes[1].plot(1000 * times, way[:, 2], color=shade, lw=0.9)
+            for panel, axis in zip(axes, (1, 2)):
+                panel.plot(1000 * times, way[:, axis], color=str(0.75 - 0.15 * number), lw=0.9,
+                           label=f"implicit, {1000 * step:g} ms")
         orders[law] = float(np.log(errors[law][-2] / errors[law][-1]) / np.log(steps[-2] / steps[-1]))
         axes[0].set(title=f"implicit steps: {name}", ylabel="y (m)")
         axes[1].set(ylabel="z (m)", xlabel="time (ms)")
@@ -225,7 +226,7 @@ def fig7():
         mesh = os.path.join(out, "bar.msh")
         call(os.path.join(REPOSITORY, "scripts", "make_bar"), mesh, "--cells", *cells)
         probes = os.path.join(out, "probes.csv")
-        values = {"model__file": mesh, "time_step": 0.002, "solver__max_iterations": SOLVER["max_iterations"]}
+        values = {"model__file": mesh, "time_step": 0.002, "rotation": "corners", "solver__max_iterations": SOLVER["max_iterations"]}
         run_scene(config("bar.yaml"), out, "--duration", 0.9, "--probes", probes, **values)
         times, way = read_probe(probes, BAR["probe"])
         until = float(times[np.argmin(way[:, 1])])
@@ -256,8 +257,8 @@ def recovery():
         """Runs a scene, and compares its last row with the equilibrium reached from rest."""
         nodes = os.path.join(out, "nodes.csv")
         start = run_scene(config(scene), out, "--steps", 0, **values)
-        end = run_scene(config(scene), out, "--steps", rows[-1], "--every", 1, "--nodes", nodes, "--vtu", out, "--surface",
-                        out, **values)
+        end = run_scene(config(scene), out, "--steps", rows[-1], "--nodes", nodes, "--vtu", out, "--surface", out,
+                        **values)
         _, positions = read_nodes(nodes)
         begun = os.path.join(os.path.dirname(config(scene)), "bar.yaml" if scene == "recovery.yaml" else scene)
         run_scene(begun, out, "--static", "--nodes", nodes, solver__max_iterations=SOLVER["max_iterations"])
@@ -316,8 +317,8 @@ def recovery():
     left = sum(one["inverted_after"] for one in series)
     apart = max(one["apart"] for one in series)
     return {"series": series, "checks": [
-        [f"Recovery: after {seconds:g} s no element of the bar and the four bears is inverted, and every node within 2 cm of "
-         "where the body comes to rest", f"{left} inverted, {100 * apart:.1f} cm", left == 0 and apart < 0.02]]}
+        [f"Recovery: after {seconds:g} s no element of the bar and the four bears is inverted, and every node within "
+         "2 cm of where the body comes to rest", f"{left} inverted, {100 * apart:.1f} cm", left == 0 and apart < 0.02]]}
 
 
 def surface():
@@ -378,8 +379,8 @@ def frequencies():
     rows = study("frequencies")
 
     def worst(key, element):
-        apart = [abs(row["frequency"] / row[key] - 1) for row in rows if row[key] is not None and row["element"] == element]
-        return max(apart) if apart else None
+        return max((abs(row["frequency"] / row[key] - 1) for row in rows
+                    if row[key] is not None and row["element"] == element), default=None)
 
     dense = max(worst("dense_reference", element) for element in ("linear", "quadratic"))
     checks = [["Lowest ten frequencies of clamped bars equal those of a dense element of other making to 1e-6",
@@ -404,12 +405,13 @@ def spin():
         if row["element"] == "quadratic":
             law = "Green strain" if row["elasticity"] == "green" else "rotation: " + row["rotation"]
             laws.setdefault((law, row["integrator"], row["time_step"]), {}).setdefault(row["motion"], []).append(row)
-    kinds = sorted({(integrator, step) for _, integrator, step in laws}, key=lambda kind: (kind[0] != "explicit", kind[1]))
-    integrator, step = kinds[0]  # explicit where there is one, and the smallest step
+    # What is drawn: explicit steps, and the smallest.
+    integrator, step = min({(integrator, step) for _, integrator, step in laws},
+                           key=lambda kind: (kind[0] != "explicit", kind[1]))
     figure, all_axes = pyplot.subplots(2, 2, figsize=(9, 5.6), sharex=True)
     for column, motion in enumerate(("spin", "swing")):
         for (law, *kind), motions in laws.items():
-            if tuple(kind) == kinds[0]:
+            if kind == [integrator, step]:
                 ours = motions[motion]
                 for axes, key in zip(all_axes[:, column], ("angular_momentum", "energy")):
                     axes.plot([row["time"] for row in ours], [row[key] for row in ours], label=law)
@@ -434,5 +436,6 @@ def calculix():
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, check=False)
     if done.stderr:
         raise Failed(done.stderr.strip().splitlines()[-1])
-    return {"told": done.stdout, "checks": [["The bar's deflection agrees with CalculiX's (scripts/compare_with_calculix)",
-                                             "see below", done.returncode == 0]]}
+    return {"told": done.stdout, "checks": [
+        ["The bar's deflection agrees with CalculiX's (scripts/compare_with_calculix)", "see below",
+         done.returncode == 0]]}

@@ -1,6 +1,5 @@
 """Drawings of bodies: shaded, depth-sorted triangles seen in parallel projection, z (or `up`) upwards."""
 import base64
-import itertools
 import xml.etree.ElementTree
 
 import matplotlib
@@ -12,7 +11,6 @@ import numpy as np  # noqa: E402
 CLAY = (0.80, 0.62, 0.46)
 INSIDE = (0.36, 0.50, 0.70)  # a surface seen from its inner side: the body is inside out there
 PAIR = {"linear": "tab:orange", "quadratic": "tab:blue"}
-EDGES = list(itertools.combinations(range(4), 2))
 
 pyplot.rcParams.update({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False,
                         "axes.spines.right": False, "figure.dpi": 110, "savefig.bbox": "tight"})
@@ -26,16 +24,6 @@ def read_ply(path):
     vertices = np.frombuffer(data, "<f4", 6 * points).reshape(-1, 6).astype(float)
     triangles = np.frombuffer(data, [("count", "u1"), ("corners", "<i4", 3)], faces, 24 * points)["corners"]
     return vertices[:, :3], vertices[:, 3:], triangles
-
-
-def read_off(path):
-    """Points and triangles of a text .off."""
-    with open(path, encoding="ascii") as file:
-        words = " ".join(line for line in file if not line.startswith("#")).split()
-    points, faces = int(words[1]), int(words[2])
-    end = 4 + 3 * points
-    return (np.array(words[4:end], float).reshape(-1, 3),
-            np.array(words[end:end + 4 * faces], int).reshape(-1, 4)[:, 1:])
 
 
 def read_vtu(path):
@@ -72,7 +60,7 @@ class Camera:
         return points @ self.to_eye
 
     def shade(self, base, normals, ambient):
-        """Lambert from a light at the upper left, a little of it from below, and a highlight where there is much shading."""
+        """Lambert from a light at the upper left, a little of it from below, and a highlight."""
         halfway = self.light + self.to_eye
         shine = np.clip(normals @ (halfway / np.linalg.norm(halfway)), 0, 1) ** 25
         lit = np.clip(normals @ self.light, 0, 1) + 0.15 * np.clip(-normals @ self.light, 0, 1)
@@ -113,8 +101,8 @@ def draw_surface(axes, camera, points, normals, triangles, color=CLAY):
 
 def draw_elements(axes, camera, vtu, values=None, norm=None, cmap="viridis", pieces=6):
     """
-    The boundary of quadratic or linear tetrahedra, its curved faces cut into pieces^2 triangles, with the elements' edges;
-    coloured by nodal `values`, or clay.
+    The boundary of quadratic or linear tetrahedra, its curved faces cut into pieces^2 triangles, with the elements'
+    edges; coloured by nodal `values`, or clay.
     """
     now = vtu["Points"] + vtu["displacement"]
     tets = vtu["connectivity"]

@@ -3,7 +3,6 @@ import csv
 import json
 import os
 import subprocess
-import sys
 import time
 
 import numpy as np
@@ -99,7 +98,7 @@ def rotation(rpy):
 
 
 def falling(surface, cell_size, element, carried):
-    """A scene: a soft body 1 m long whose lowest twentieth is held; its weight acts from the start. Returns its path."""
+    """A scene's path: a soft body 1 m long, its lowest twentieth held, falls under its weight from rest."""
     path = model_file(surface)
     with open(path, encoding="ascii") as file:
         words = file.read().split()
@@ -107,8 +106,9 @@ def falling(surface, cell_size, element, carried):
     height = (points / np.ptp(points, axis=0).max() @ rotation(POSES[surface]).T)[:, 2]
     top = float(height.min() + 0.05 * np.ptp(height))
     scene = {"model": {"file": path, "longest_side": 1.0, "cell_size": cell_size, "pose": {"rpy": POSES[surface]}},
-             "element": element, "material": {"young": 2.0e5, "poisson": 0.45, "density": 500.0}, "time_step": 0.02,
-             "solver": SOLVER, "fixed": [{"name": "foot", "box": {"min": [-9, -9, -9], "max": [9, 9, top]}}]}
+             "element": element, "rotation": "corners", "time_step": 0.02,
+             "material": {"young": 2.0e5, "poisson": 0.45, "density": 500.0}, "solver": SOLVER,
+             "fixed": [{"name": "foot", "box": {"min": [-9, -9, -9], "max": [9, 9, top]}}]}
     if carried:
         scene["surface"] = {"file": path}
     name = os.path.join(folder("scenes"), f"{surface}_{cell_size}_{element}{'_carrying' if carried else ''}.yaml")
@@ -144,11 +144,11 @@ def machine():
     with open("/proc/cpuinfo", encoding="ascii", errors="replace") as file:
         lines = [line.split(":", 1) for line in file if ":" in line]
     facts = {key.strip(): value.strip() for key, value in lines}
-    widest = next((name for flag, name in (("avx512dq", "AVX-512"), ("avx2", "AVX2")) if flag in facts.get("flags", "")),
-                  "the portable kernels")
+    flags = facts.get("flags", "").split()
+    kernels = "AVX-512" if "avx512dq" in flags else "AVX2" if "avx2" in flags else "the portable kernels"
     mhz = f" at {float(facts['cpu MHz']) / 1000:.1f} GHz" if "cpu MHz" in facts else ""
     compiler = call("c++", "--version").splitlines()[0]
-    return f"{facts.get('model name', os.uname().machine)}{mhz}, {os.cpu_count()} cores, {widest}; {compiler}"
+    return f"{facts.get('model name', os.uname().machine)}{mhz}, {os.cpu_count()} cores, {kernels}; {compiler}"
 
 
 def save(part, result):
