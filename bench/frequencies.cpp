@@ -218,7 +218,6 @@ std::vector<double> timoshenko(const Bar& bar)
 std::vector<double> eulerBernoulli(const Bar& bar)
 {
   std::vector<double> result;
-  result.reserve(MODES);
   // Divided by cosh, which grows out of bounds.
   for (const double b : roots([](double x) { return std::cos(x) + 1 / std::cosh(x); }, 0.1, MODES))
   {
@@ -232,8 +231,8 @@ std::vector<double> eulerBernoulli(const Bar& bar)
 /** Waves of speed c in a rod held at one end: odd quarters. Hz. */
 std::vector<double> quarterWaves(const Bar& bar, double c)
 {
-  std::vector<double> result;
-  for (int k = 0; k < MODES; ++k) result.push_back((2 * k + 1) * c / (4 * bar.length));
+  std::vector<double> result(MODES);
+  for (int k = 0; k < MODES; ++k) result[k] = (2 * k + 1) * c / (4 * bar.length);
   return result;
 }
 

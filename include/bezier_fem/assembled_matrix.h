@@ -101,6 +101,7 @@ private:
  * Sets matrices of one model's pattern to alpha M + beta K' straight from rotated gradients, entity by entity of the
  * mesh. All blocks of a vertex, edge, face or tetrahedron are sums of the same few products H_cd of rotated gradients,
  * so these are added up over the entity's elements, once, and the blocks made of the sums: no element matrix exists.
+ * The fastest way for quadratic elements; a linear one's matrix is just such products, and storing it is faster.
  */
 class FusedAssembler
 {

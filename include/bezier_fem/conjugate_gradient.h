@@ -33,10 +33,11 @@ public:
 
   /**
    * Takes the system's diagonal.
+   * @return  false where a block of it is not positive definite, and so neither is the system
    * @param load_floor  factor f of the right-hand side f M a of a uniform acceleration a = 1, root mean square over
    *                    its three directions, below which a right-hand side counts as that
    */
-  void prepare(const SystemOperator& system, const Model& model, const Partition& partition, const HeldAxes& held,
+  bool prepare(const SystemOperator& system, const Model& model, const Partition& partition, const HeldAxes& held,
                double load_floor);
 
   /**

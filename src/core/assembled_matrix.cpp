@@ -36,9 +36,9 @@ std::size_t blocksOf(const AssembledMatrix& matrix)
   return matrix.column().size();
 }
 
-kernels::BlockRows rowsOf(AssembledMatrix& matrix)
+kernels::BlockRows rowsOf(const AssembledMatrix& matrix)
 {
-  return {matrix.rowBegin().data(), matrix.column().data(), matrix.blocks().data()};
+  return {matrix.rowBegin().data(), matrix.column().data()};
 }
 }  // namespace
 
@@ -121,9 +121,9 @@ int AssembledMatrix::slot(int i, int j) const
 
 void AssembledMatrix::product(const Partition& partition, const NodalField& u, NodalField& out) const
 {
-  const kernels::BlockRows rows{row_begin_.data(), column_.data(), const_cast<double*>(blocks_.data())};
   forEachThread(partition, [&](int t) {
-    kernels::table().block_product(rows, partition.nodeBegin(t), partition.nodeEnd(t), u.data(), out.data());
+    kernels::table().block_product(rowsOf(*this), partition.nodeBegin(t), partition.nodeEnd(t), blocks_.data(),
+                                   u.data(), out.data());
   });
 }
 
@@ -141,7 +141,7 @@ void AssembledMatrix::diagonal(AlignedVector<double>& blocks) const
 
 struct Assembler::Lists
 {
-  std::vector<int> slots;  // STORED_SLOTS: [element][pair][2]
+  std::vector<int> slots;  // STORED_SLOTS: [element][pair][2], then marks
 
   // MESH_ORIENTED
   std::size_t num_targets = 0;
@@ -168,7 +168,11 @@ Assembler::Assembler(const Model& model, const AssembledMatrix& pattern, Travers
       }
     }
   }
-  if (traversal == Traversal::STORED_SLOTS) return;
+  if (traversal == Traversal::STORED_SLOTS)
+  {
+    slots.resize(slots.size() + 2 * kernels::READ_AHEAD);
+    return;
+  }
 
   // Contributions to the blocks of the upper triangle, those that lie the same way round first.
   struct Contribution
@@ -231,11 +235,12 @@ void Assembler::assemble(const Model& model, const Partition& partition, const E
   std::fill(out.blocks().begin(), out.blocks().end(), 0.0);
   if (traversal_ == Traversal::CONVENTIONAL)
   {
-    table.add_by_search(rowsOf(out), model.nodes_per_tet, model.num_tets, model.tets.data(), matrices);
+    table.add_by_search(rowsOf(out), model.nodes_per_tet, model.num_tets, model.tets.data(), matrices,
+                        out.blocks().data());
   }
   else
   {
-    table.add_by_slots(rowsOf(out), model.nodes_per_tet, model.num_tets, lists_->slots.data(), matrices);
+    table.add_by_slots(model.nodes_per_tet, model.num_tets, lists_->slots.data(), matrices, out.blocks().data());
   }
 }
 
@@ -247,8 +252,8 @@ struct FusedAssembler::Lists
   std::vector<kernels::MeshEntities::Tet> tets;
   std::vector<kernels::MeshEntities::Chunk> chunks;
   std::vector<int> uses;
-  AlignedVector<int> corner_order;  // [block][4][LANES]
-  AlignedVector<double> products;   // [element][PRODUCTS_STRIDE], and an element of zeros
+  AlignedVector<double> corner_order;  // [block][4][LANES]
+  AlignedVector<double> products;      // [element][PRODUCTS_STRIDE], and an element of zeros
 };
 
 FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& pattern) : lists_(std::make_unique<Lists>())
@@ -258,7 +263,7 @@ FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& patter
   Lists& l = *lists_;
   const std::size_t elements = static_cast<std::size_t>(model.num_blocks) * LANES;
   l.products.assign((elements + 1) * kernels::PRODUCTS_STRIDE, 0.0);
-  l.corner_order.assign(elements * CORNERS, 0);
+  l.corner_order.assign(elements * CORNERS, 0.0);
 
   std::vector<int> entity(blocksOf(pattern), -1);  // at the place of a block that only this entity has
   std::vector<std::vector<int>> vertex_uses, edge_uses;

@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 
 #include "kernels.h"
@@ -13,8 +14,8 @@ namespace
 {
 constexpr int PARTIAL_STRIDE = 8;  // a cache line a thread
 
-/** Inverse of the block over the axes that are free, zero elsewhere. */
-Eigen::Matrix3d invertFree(const double* d, std::uint8_t held)
+/** Inverse of the block over the axes that are free, zero elsewhere; `definite` is cleared where it is not positive. */
+Eigen::Matrix3d invertFree(const double* d, std::uint8_t held, bool& definite)
 {
   Eigen::Matrix3d block;
   block << d[0], d[1], d[2], d[1], d[3], d[4], d[2], d[4], d[5];
@@ -25,6 +26,7 @@ Eigen::Matrix3d invertFree(const double* d, std::uint8_t held)
     block.col(axis).setZero();
     block(axis, axis) = 1;
   }
+  if (!(block(0, 0) > 0 && block.topLeftCorner<2, 2>().determinant() > 0 && block.determinant() > 0)) definite = false;
   Eigen::Matrix3d inverse = block.inverse();
   for (int axis = 0; axis < 3; ++axis)
   {
@@ -56,24 +58,28 @@ double ConjugateGradient::sumOverThreads(const Partition& partition, const F& f)
   return sum;
 }
 
-void ConjugateGradient::prepare(const SystemOperator& system, const Model& model, const Partition& partition,
+bool ConjugateGradient::prepare(const SystemOperator& system, const Model& model, const Partition& partition,
                                 const HeldAxes& held, double load_floor)
 {
   system.diagonal(diagonal_);
+  std::atomic<bool> all_definite = true;
   const double sum = sumOverThreads(partition, [&](int begin, int end) {
     double floor2 = 0;
+    bool definite = true;
     for (int i = begin; i < end; ++i)
     {
       const Eigen::Matrix3d inverse =
-          invertFree(diagonal_.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i, held[i]);
+          invertFree(diagonal_.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i, held[i], definite);
       double* out = inverse_.data() + static_cast<std::ptrdiff_t>(kernels::INVERSE_STRIDE) * i;
       for (int axis = 0; axis < 3; ++axis) Eigen::Map<Eigen::Vector3d>(out + 4 * axis) = inverse.col(axis);
       // M times a uniform field of ones: the integral of rho B_I.
       floor2 += model.node_mass[i] * model.node_mass[i] * inverse.trace() / 3;
     }
+    if (!definite) all_definite = false;
     return floor2;
   });
   floor_ = load_floor * std::sqrt(sum);
+  return all_definite;
 }
 
 double ConjugateGradient::norm(const Partition& partition, const NodalField& r)

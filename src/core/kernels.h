@@ -32,12 +32,14 @@ struct Elements
   const double* coefficients;  // [block][3][LANES]: V lambda_L, V mu, V rho
 };
 
-/** Rows of 3x3 blocks, columns sorted; 9 doubles a block, by columns, and one more after the last block. */
+/**
+ * Where the 3x3 blocks of an assembled matrix are, row by row, columns sorted. A block is 9 doubles, by columns; there
+ * is one double more after the last block.
+ */
 struct BlockRows
 {
   const int* row_begin;
   const int* column;
-  double* blocks;
 };
 
 /** For blocks of an assembled matrix, which blocks of element matrices they are the sums of. */
@@ -178,24 +180,25 @@ struct Table
                           const double* rotations, double alpha, double beta, double* out);
 
   /** Adds element matrices to the blocks of (i,j) and (j,i), found in the sorted columns; nodes: [element][node]. */
-  void (*add_by_search)(const BlockRows& rows, int nodes_per_tet, int tets, const int* nodes, const double* matrices);
-  /** The same, the places known: [element][pair][2]. */
-  void (*add_by_slots)(const BlockRows& rows, int nodes_per_tet, int tets, const int* slots, const double* matrices);
+  void (*add_by_search)(const BlockRows& rows, int nodes_per_tet, int tets, const int* nodes, const double* matrices,
+                        double* blocks);
+  /** The same, the places known: [element][pair][2], then 2 READ_AHEAD marks. */
+  void (*add_by_slots)(int nodes_per_tet, int tets, const int* slots, const double* matrices, double* blocks);
   /** Sets the blocks of targets [begin, end) to sums of their contributions. */
   void (*gather_blocks)(const Contributions& list, int begin, int end, const double* matrices, double* blocks);
 
   /**
    * What fuse_blocks() reads of each element: [element][PRODUCTS_STRIDE].
-   * @param corner_order  [block][4][LANES], local corners in the order of their nodes
+   * @param corner_order  [block][4][LANES], local corners 0 to 3 in the order of their nodes
    */
-  void (*gradient_products)(const Elements& elements, int begin, int end, const int* corner_order,
+  void (*gradient_products)(const Elements& elements, int begin, int end, const double* corner_order,
                             const double* rotated, double alpha, double beta, double* out);
   /** Sets the blocks that belong to the entities of chunks [begin, end). */
   void (*fuse_blocks)(const MeshEntities& mesh, int nodes_per_tet, int begin, int end, const double* products,
                       double* blocks);
 
   /** y = A x over rows [begin, end). */
-  void (*block_product)(const BlockRows& rows, int begin, int end, const double* x, double* y);
+  void (*block_product)(const BlockRows& rows, int begin, int end, const double* blocks, const double* x, double* y);
 
   // Vector operations over nodes [begin, end).
   double (*dot)(int begin, int end, const double* a, const double* b);

@@ -303,7 +303,7 @@ inline void addPacked(double* p, const Block& b)
 }
 
 template <int NODES>
-void addBySearch(const BlockRows& rows, int tets, const int* nodes, const double* matrices)
+void addBySearch(const BlockRows& rows, int tets, const int* nodes, const double* matrices, double* blocks)
 {
   using Matrix = ElementMatrix<NODES>;
   for (int t = 0; t < tets; ++t)
@@ -315,15 +315,15 @@ void addBySearch(const BlockRows& rows, int tets, const int* nodes, const double
       for (int J = I; J < NODES; ++J, p += 9)
       {
         const Block b = loadPacked(p);
-        addPacked(rows.blocks + 9L * find(rows, n[I], n[J]), b);
-        if (I != J) addPacked(rows.blocks + 9L * find(rows, n[J], n[I]), transpose(b));
+        addPacked(blocks + 9L * find(rows, n[I], n[J]), b);
+        if (I != J) addPacked(blocks + 9L * find(rows, n[J], n[I]), transpose(b));
       }
     }
   }
 }
 
 template <int NODES>
-void addBySlots(const BlockRows& rows, int tets, const int* slots, const double* matrices)
+void addBySlots(int tets, const int* slots, const double* matrices, double* blocks)
 {
   using Matrix = ElementMatrix<NODES>;
   for (int t = 0; t < tets; ++t)
@@ -333,8 +333,10 @@ void addBySlots(const BlockRows& rows, int tets, const int* slots, const double*
     for (int k = 0; k < Matrix::PAIRS; ++k, p += 9, s += 2)
     {
       const Block b = loadPacked(p);
-      addPacked(rows.blocks + 9L * s[0], b);
-      if (s[0] != s[1]) addPacked(rows.blocks + 9L * s[1], transpose(b));
+      prefetchForWriting(blocks + 9L * s[2 * READ_AHEAD]);
+      prefetchForWriting(blocks + 9L * s[2 * READ_AHEAD + 1]);
+      addPacked(blocks + 9L * s[0], b);
+      if (s[0] != s[1]) addPacked(blocks + 9L * s[1], transpose(b));
     }
   }
 }
@@ -376,7 +378,7 @@ void gatherBlocks(const Contributions& list, int begin, int end, const double* m
 constexpr int PRODUCT[4][4] = {{0, 12, 24, 36}, {12, 48, 60, 72}, {24, 60, 84, 96}, {36, 72, 96, 108}};
 
 template <int NODES>
-void gradientProducts(const Elements& elements, int begin, int end, const int* corner_order, const double* rotated,
+void gradientProducts(const Elements& elements, int begin, int end, const double* corner_order, const double* rotated,
                       double alpha, double beta, double* out)
 {
   Vec values[PRODUCTS_STRIDE] = {};
@@ -391,13 +393,12 @@ void gradientProducts(const Elements& elements, int begin, int end, const int* c
       RotatedGradients sorted;
       for (int a = 0; a < 4; ++a)
       {
-        const int* from = corner_order + (4L * block + a) * LANES + part;
-        for (int k = 0; k < WIDTH; ++k)
-        {
-          sorted.r[a].x[k] = g.r[from[k]].x[k];
-          sorted.r[a].y[k] = g.r[from[k]].y[k];
-          sorted.r[a].z[k] = g.r[from[k]].z[k];
-        }
+        const Vec from = load(corner_order + (4L * block + a) * LANES + part);
+        const auto pick = [&](Vec Vec3::*axis) {
+          const Vec low = from == 0 ? g.r[0].*axis : g.r[1].*axis, high = from == 2 ? g.r[2].*axis : g.r[3].*axis;
+          return from < 2 ? low : high;
+        };
+        sorted.r[a] = {pick(&Vec3::x), pick(&Vec3::y), pick(&Vec3::z)};
       }
       for (int a = 0; a < 4; ++a)
       {
@@ -526,7 +527,7 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
   }
 }
 
-void blockProduct(const BlockRows& rows, int begin, int end, const double* x, double* y)
+void blockProduct(const BlockRows& rows, int begin, int end, const double* blocks, const double* x, double* y)
 {
   constexpr int AHEAD = 320;  // doubles: as far as memory outside the second-level cache is away
   for (int i = begin; i < end; ++i)
@@ -534,7 +535,7 @@ void blockProduct(const BlockRows& rows, int begin, int end, const double* x, do
     Node a = {}, b = {}, c = {};
     for (int k = rows.row_begin[i]; k < rows.row_begin[i + 1]; ++k)
     {
-      const double* p = rows.blocks + 9L * k;
+      const double* p = blocks + 9L * k;
       __builtin_prefetch(p + AHEAD);
       __builtin_prefetch(p + AHEAD + 8);
       const Block block = loadPacked(p);
@@ -562,18 +563,19 @@ void warpedMatricesAny(const Elements& elements, int begin, int end, const doubl
                                                                          alpha, beta, out);
 }
 
-void addBySearchAny(const BlockRows& rows, int nodes_per_tet, int tets, const int* nodes, const double* matrices)
+void addBySearchAny(const BlockRows& rows, int nodes_per_tet, int tets, const int* nodes, const double* matrices,
+                    double* blocks)
 {
-  (nodes_per_tet == 4 ? addBySearch<4> : addBySearch<10>)(rows, tets, nodes, matrices);
+  (nodes_per_tet == 4 ? addBySearch<4> : addBySearch<10>)(rows, tets, nodes, matrices, blocks);
 }
 
-void addBySlotsAny(const BlockRows& rows, int nodes_per_tet, int tets, const int* slots, const double* matrices)
+void addBySlotsAny(int nodes_per_tet, int tets, const int* slots, const double* matrices, double* blocks)
 {
-  (nodes_per_tet == 4 ? addBySlots<4> : addBySlots<10>)(rows, tets, slots, matrices);
+  (nodes_per_tet == 4 ? addBySlots<4> : addBySlots<10>)(tets, slots, matrices, blocks);
 }
 
-void gradientProductsAny(const Elements& elements, int begin, int end, const int* corner_order, const double* rotated,
-                         double alpha, double beta, double* out)
+void gradientProductsAny(const Elements& elements, int begin, int end, const double* corner_order,
+                         const double* rotated, double alpha, double beta, double* out)
 {
   (elements.nodes_per_tet == 4 ? gradientProducts<4> : gradientProducts<10>)(elements, begin, end, corner_order,
                                                                              rotated, alpha, beta, out);

@@ -55,16 +55,10 @@ void GreenNewton::quadraticProduct(const NodalField& u, NodalField& out) const
   }
 }
 
-void GreenNewton::evaluate()
+void GreenNewton::start()
 {
   greenForce(model_, w_.partition, x_, w_.force);
   m_.gradient.matrix() = m_.quadratic.matrix() + h_ * nodes(w_.force, model_);
-}
-
-void GreenNewton::start()
-{
-  evaluate();
-  energy_ = greenEnergy(model_, x_);
   m_.first.matrix() = m_.gradient.matrix();
 }
 
@@ -73,20 +67,27 @@ void GreenNewton::tryDirection(const NodalField& direction)
   search(direction, 1);
 }
 
-void GreenNewton::linearise(Projection projection)
+bool GreenNewton::prepare(Projection projection)
 {
   bezier_fem::linearise(model_, w_.partition, x_, projection, m_.tangent);
   projected_ = projection != Projection::NONE;
-  w_.solver.prepare(system_, model_, w_.partition, supports_.held, load_floor_);
+  return w_.solver.prepare(system_, model_, w_.partition, supports_.held, load_floor_);
+}
+
+void GreenNewton::linearise()
+{
+  if (!prepare(Projection::NONE)) prepare(Projection::POSITIVE_STRESS);
 }
 
 bool GreenNewton::solve(double forcing, int max_iterations, StepReport& report)
 {
   w_.rhs.matrix() = -m_.gradient.matrix();
   w_.change.setZero();
-  const SolveReport solved = w_.solver.solve(system_, w_.partition, w_.rhs, w_.change, forcing, max_iterations);
+  // Relative to the gradient also where that is below the solver's floor.
+  const double part = w_.solver.relativeNorm(w_.partition, m_.gradient, m_.gradient);
+  const SolveReport solved = w_.solver.solve(system_, w_.partition, w_.rhs, w_.change, forcing * part, max_iterations);
   report.iterations += solved.iterations;
-  return !solved.indefinite && m_.gradient.matrix().cwiseProduct(w_.change.matrix()).sum() < 0;
+  return m_.gradient.matrix().cwiseProduct(w_.change.matrix()).sum() < 0;
 }
 
 bool GreenNewton::iterate(double forcing, int max_iterations, StepReport& report)
@@ -94,42 +95,40 @@ bool GreenNewton::iterate(double forcing, int max_iterations, StepReport& report
   constexpr int TRIALS = 25;
   if (solve(forcing, max_iterations, report) && search(w_.change, TRIALS)) return true;
   if (projected_) return false;
-  linearise(Projection::POSITIVE_STRESS);
+  prepare(Projection::POSITIVE_STRESS);
   return solve(forcing, max_iterations, report) && search(w_.change, TRIALS);
 }
 
 bool GreenNewton::search(const NodalField& direction, int trials)
 {
-  // Along v + length * direction the quadratic part is known exactly, which leaves the rounding of U only.
+  // Along v + length * direction the sum is a polynomial of degree four: Simpson's rule on its slope gives its change
+  // exactly, and without the cancellation of two energies, which would hide the last steps' decrease.
   quadraticProduct(direction, m_.bend);
   const double quadratic_slope = m_.quadratic.matrix().cwiseProduct(direction.matrix()).sum();
   const double curvature = nodes(m_.bend, model_).cwiseProduct(direction.matrix()).sum();
-  const double slope = m_.gradient.matrix().cwiseProduct(direction.matrix()).sum();
   m_.x.matrix() = x_.matrix();
+  const auto slopeAt = [&](double length) {
+    x_.matrix() = m_.x.matrix() + length * h_ * direction.matrix();
+    greenForce(model_, w_.partition, x_, w_.force);
+    const double work = nodes(w_.force, model_).cwiseProduct(direction.matrix()).sum();
+    return quadratic_slope + length * curvature + h_ * work;
+  };
+  const double slope = m_.gradient.matrix().cwiseProduct(direction.matrix()).sum();
   double length = 1;
   for (int trial = 0; trial < trials; ++trial)
   {
-    x_.matrix() = m_.x.matrix() + length * h_ * direction.matrix();
-    greenForce(model_, w_.partition, x_, w_.force);
-    const double energy = greenEnergy(model_, x_);
-    const double change = energy - energy_ + length * (quadratic_slope + length / 2 * curvature);
-    const double slope_there =
-        quadratic_slope + length * curvature + h_ * nodes(w_.force, model_).cwiseProduct(direction.matrix()).sum();
-    // Enough of a decrease (Armijo 1966); or, where rounding hides that, a slope that has become less steep (Hager and
-    // Zhang 2005).
-    const double rounding = 1e-13 * (std::abs(energy) + std::abs(energy_));
-    if (change <= 1e-4 * length * std::min(slope, 0.0) ||
-        (std::abs(slope_there) <= 0.9 * std::abs(slope) && change <= rounding))
+    const double middle = slopeAt(length / 2), end = slopeAt(length);
+    const double change = length / 6 * (slope + 4 * middle + end);
+    // Enough of a decrease (Armijo 1966); of a direction that begins uphill, any.
+    if (change <= 1e-4 * length * std::min(slope, 0.0))
     {
       v_.matrix() += length * direction.matrix();
       m_.quadratic.matrix() += length * nodes(m_.bend, model_);
       m_.gradient.matrix() = m_.quadratic.matrix() + h_ * nodes(w_.force, model_);
-      energy_ = energy;
       return true;
     }
     // The zero of the slope on a straight line, where there is one.
-    const double cut = slope_there > 0 ? slope / (slope - slope_there) : 0.5;
-    length *= std::clamp(cut, 0.1, 0.5);
+    length *= std::clamp(end > 0 ? slope / (slope - end) : 0.5, 0.1, 0.5);
   }
   x_.matrix() = m_.x.matrix();
   return false;
@@ -138,7 +137,7 @@ bool GreenNewton::search(const NodalField& direction, int trials)
 StepReport newtonStep(const Model& model, const StepSettings& settings, const Supports& supports,
                       const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w)
 {
-  constexpr int MAX_ROUNDS = 50;
+  constexpr int MAX_ROUNDS = 100;
   StepReport report;
   Stopwatch total, watch;
   if (!w.newton) w.newton = std::make_unique<NewtonMemory>(model, w.partition);
@@ -174,7 +173,7 @@ StepReport newtonStep(const Model& model, const StepSettings& settings, const Su
   double before = 0;
   for (int round = 0;; ++round)
   {
-    newton.linearise(Projection::NONE);
+    newton.linearise();
     watch.lap(report.ms.assembly);
     const auto residual = [&] { return w.solver.relativeNorm(w.partition, m.gradient, m.first); };
     if (round == 0) report.residual = residual();

@@ -23,8 +23,10 @@ struct NewtonMemory
 /**
  * Minimises U(x_0 + h v) + q(v), U the energy of Green's strain and q quadratic with the second derivative
  * alpha M + beta K_0, over the components of v that are free: inexact Newton with a line search, each step of which
- * lowers the sum. A system is solved with the derivative of the force itself, and where that turns out not to be
- * positive definite with the projected one, which is stiffer than the body where it is compressed but leads downhill.
+ * lowers the sum. The tangent is first the derivative of the force itself. Where that is not positive definite,
+ * conjugate gradients end early, and what they have reached still leads downhill (Nocedal and Wright 2006, algorithm
+ * 7.1). If they have reached nothing, the projected tangent takes over: it always leads downhill, but is stiffer than
+ * the body where this is compressed, the more so the more slender it is, and takes several times as many rounds.
  */
 class GreenNewton
 {
@@ -40,7 +42,7 @@ public:
   /** Takes the whole direction if that lowers the sum. */
   void tryDirection(const NodalField& direction);
   /** Sets the system of the iterate. */
-  void linearise(Projection projection);
+  void linearise();
   /**
    * A step from the iterate of the last linearise().
    * @param forcing  tolerance of the linear system
@@ -49,9 +51,9 @@ public:
   bool iterate(double forcing, int max_iterations, StepReport& report);
 
 private:
+  bool prepare(Projection projection);
   bool solve(double forcing, int max_iterations, StepReport& report);
   bool search(const NodalField& direction, int trials);
-  void evaluate();
 
   const Model& model_;
   const Supports& supports_;
@@ -61,7 +63,6 @@ private:
   Workspace& w_;
   NewtonMemory& m_;
   MatrixFreeSystem<GreenTangent> system_;
-  double energy_ = 0;  // U(x), J
   bool projected_ = false;
 };
 

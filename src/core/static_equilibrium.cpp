@@ -87,7 +87,7 @@ StepReport greenEquilibrium(const Model& model, const StepSettings& settings, co
 
     const double forcing = round == 0 ? 0.03 : 0.9 * std::pow(report.residual / before, 2);
     before = report.residual;
-    newton.linearise(Projection::NONE);
+    newton.linearise();
     if (!newton.iterate(std::clamp(forcing, 0.1 * settings.solver.tolerance, 0.03),
                         100 * settings.solver.max_iterations, report))
     {
