@@ -21,6 +21,15 @@ struct SurfaceMesh
  */
 SurfaceMesh readSurfaceMesh(const std::string& path);
 
+/**
+ * Writes a binary .ply: points (as floats), their normals, triangles.
+ * @param points, normals  3 x points; m, and unit vectors
+ * @param triangles        3 x triangles, columns of point indices
+ * @throws InputError if it can't be written whole
+ */
+void writePly(const std::string& path, const Eigen::Matrix3Xd& points, const Eigen::Matrix3Xd& normals,
+              const Eigen::Matrix3Xi& triangles);
+
 /** True if the file name's extension is one that readSurfaceMesh() reads. */
 bool isSurfaceFile(const std::string& path);
 

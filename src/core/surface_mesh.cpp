@@ -637,4 +637,25 @@ SurfaceMesh readSurfaceMesh(const std::string& path)
   return mesh;
 }
 
+void writePly(const std::string& path, const Eigen::Matrix3Xd& points, const Eigen::Matrix3Xd& normals,
+              const Eigen::Matrix3Xi& triangles)
+{
+  std::ofstream file(path, std::ios::binary);
+  file << "ply\nformat binary_little_endian 1.0\nelement vertex " << points.cols();
+  for (const char* name : {"x", "y", "z", "nx", "ny", "nz"}) file << "\nproperty float " << name;
+  file << "\nelement face " << triangles.cols() << "\nproperty list uchar int vertex_indices\nend_header\n";
+  for (Eigen::Index i = 0; i < points.cols(); ++i)
+  {
+    Eigen::Matrix<float, 6, 1> row;
+    row << points.col(i).cast<float>(), normals.col(i).cast<float>();
+    file.write(reinterpret_cast<const char*>(row.data()), sizeof(row));
+  }
+  for (Eigen::Index k = 0; k < triangles.cols(); ++k)
+  {
+    file.put(3).write(reinterpret_cast<const char*>(triangles.col(k).data()), 3 * sizeof(int));
+  }
+  file.close();
+  if (!file) throw InputError(path + ": cannot be written");
+}
+
 }  // namespace bezier_fem

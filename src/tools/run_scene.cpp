@@ -18,6 +18,7 @@
 
 #include "bezier_fem/error.h"
 #include "bezier_fem/simulation.h"
+#include "bezier_fem/surface_mesh.h"
 #include "bezier_fem/vtu_series.h"
 
 namespace
@@ -34,7 +35,7 @@ struct Options
   long steps = -1;
   bool statics = false;
   std::vector<std::string> overrides;
-  std::string probes, nodes, vtu, summary;
+  std::string probes, nodes, vtu, surface, summary;
   long every = 1;
   int threads = 1;
 };
@@ -119,6 +120,12 @@ public:
     {
       vtu_ = std::make_unique<VtuSeries>(options.vtu, std::filesystem::path(options.scene).stem().string());
     }
+    if (!options.surface.empty())
+    {
+      std::error_code error;
+      std::filesystem::create_directories(options.surface, error);
+      if (error) throw InputError(options.surface + ": cannot make this folder: " + error.message());
+    }
     if (!options.summary.empty()) summary_ = std::make_unique<CsvFile>(options.summary);
   }
 
@@ -187,6 +194,7 @@ private:
   std::vector<int> order_;  // nodes by id
   Progress progress_;
   Eigen::Matrix3Xd surface_, normals_;
+  long surfaces_ = 0;  // files written
 
   long steps_ = 0, substeps_ = 0, substepped_ = 0;
   bool converged_ = true, finite_ = true;
@@ -240,6 +248,14 @@ private:
       nodes_->out() << time << ',' << model.ids[i] << ',' << p.x() << ',' << p.y() << ',' << p.z() << '\n';
     }
     if (vtu_) vtu_->write(model, state.x, state.v, simulation_.nodalStress(), time);
+    if (!options_.surface.empty())
+    {
+      std::array<char, 32> number{};
+      std::snprintf(number.data(), number.size(), "_%06ld.ply", surfaces_++);
+      simulation_.evaluateSurface(surface_, &normals_);
+      writePly(options_.surface + "/" + std::filesystem::path(options_.scene).stem().string() + number.data(), surface_,
+               normals_, simulation_.surface().triangles);
+    }
   }
 
   static double median(std::vector<double> values)
@@ -387,6 +403,7 @@ int main(int argc, char** argv)
   app.add_option("--probes", options.probes, "CSV file for the positions of the scene's probes, in m");
   app.add_option("--nodes", options.nodes, "CSV file for the positions of all nodes, in m");
   app.add_option("--vtu", options.vtu, "Folder for a ParaView series");
+  app.add_option("--surface", options.surface, "Folder for the surface, a .ply with normals for each row");
   app.add_option("--summary", options.summary, "JSON file for what came out of the run");
   app.add_option("--every", options.every, "Rows and ParaView files only for every K-th step, and the first and last")
       ->check(wholeNumber(1, MOST_STEPS));

@@ -3,7 +3,9 @@
 import csv
 import json
 import math
+import operator
 import os
+import struct
 import subprocess
 import sys
 import tempfile
@@ -177,6 +179,35 @@ class RunScene(unittest.TestCase):
         self.assertEqual((piece.get("NumberOfPoints"), piece.get("NumberOfCells")), ("275", "120"))
         names = {array.get("Name") for array in piece.find("PointData")}
         self.assertLessEqual({"displacement", "velocity", "von_mises", "stress"}, names)
+
+    def test_surface_series(self):
+        _, _, nodes = self.run_scene("--steps", 4, "--every", 2, "--surface", self.path("ply"))
+        self.assertEqual(sorted(os.listdir(self.path("ply"))), [f"bar_{row:06}.ply" for row in range(3)])
+        for row, positions in enumerate(nodes):
+            with open(os.path.join(self.path("ply"), f"bar_{row:06}.ply"), "rb") as file:
+                header, data = file.read().split(b"end_header\n", 1)
+            points, triangles = (int(header.split(b"element " + name + b" ")[1].split()[0]) for name in (b"vertex", b"face"))
+            self.assertEqual(len(data), 24 * points + 13 * triangles)
+            vertices = list(struct.iter_unpack("<6f", data[:24 * points]))
+            corners = [face[1:] for face in struct.iter_unpack("<B3i", data[24 * points:])]
+            # The surface is the mesh's own: every point a node, every normal on the outer side of its triangles.
+            known = {struct.pack("<3f", *position) for position in positions.values()}
+            self.assertLessEqual({struct.pack("<3f", *vertex[:3]) for vertex in vertices}, known)
+            for a, b, c in corners:
+                u, v = ([vertices[end][k] - vertices[a][k] for k in range(3)] for end in (b, c))
+                normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+                for corner in (a, b, c):
+                    self.assertAlmostEqual(math.hypot(*vertices[corner][3:]), 1, 5)
+                    self.assertGreater(sum(map(operator.mul, normal, vertices[corner][3:])), 0)
+
+    def test_recovery_from_inversion(self):
+        scene = os.path.join(os.path.dirname(BAR), "recovery.yaml")
+        self.assertEqual(self.run_scene("--steps", 0, scene=scene)[0]["inverted_elements"], 120)
+        summary, probes, _ = self.run_scene("--duration", 4, scene=scene)
+        self.assertEqual(summary["inverted_elements"], 0)
+        _, settled, _ = self.run_scene("--static", scene=BAR)  # the same bar, from rest
+        for name in ("lower_left.x", "lower_left.y", "lower_left.z", "lower_right.y"):
+            self.assertAlmostEqual(probes[-1][name], settled[-1][name], delta=0.005)
 
     def test_a_solver_cut_short_says_so_and_writes_everything(self):
         summary, probes, _ = self.run_scene("--steps", 5, "--set", "solver.max_iterations=3", status=1)
