@@ -50,7 +50,8 @@ def call(*command, cwd=None):
                           text=True, check=False)
     if done.returncode != 0:
         lines = (done.stderr.strip() or done.stdout.strip()).splitlines()
-        raise Failed(f"{os.path.basename(command[0])}: {lines[-1] if lines else f'status {done.returncode}'}")
+        name, line = os.path.basename(command[0]), lines[-1] if lines else f"status {done.returncode}"
+        raise Failed(line if line.startswith(name) else f"{name}: {line}")
     return done.stdout
 
 
