@@ -164,8 +164,8 @@ def fig6():
 def swing(out, **values):
     """The bar's swing: the way of its lower corner."""
     probes = os.path.join(out, "probes.csv")
-    run_scene(config("bar.yaml"), out, "--duration", 0.9, "--probes", probes, rotation="corners", solver__tolerance=TOLERANCE,
-              solver__max_iterations=SOLVER["max_iterations"], **values)
+    run_scene(config("bar.yaml"), out, "--duration", 0.9, "--probes", probes, rotation="corners",
+              solver__tolerance=TOLERANCE, solver__max_iterations=SOLVER["max_iterations"], **values)
     return read_probe(probes, BAR["probe"])
 
 
@@ -227,7 +227,8 @@ def fig7():
         mesh = os.path.join(out, "bar.msh")
         call(os.path.join(REPOSITORY, "scripts", "make_bar"), mesh, "--cells", *cells)
         probes = os.path.join(out, "probes.csv")
-        values = {"model__file": mesh, "time_step": 0.002, "rotation": "corners", "solver__max_iterations": SOLVER["max_iterations"]}
+        values = {"model__file": mesh, "time_step": 0.002, "rotation": "corners",
+                  "solver__max_iterations": SOLVER["max_iterations"]}
         run_scene(config("bar.yaml"), out, "--duration", 0.9, "--probes", probes, **values)
         times, way = read_probe(probes, BAR["probe"])
         until = float(times[np.argmin(way[:, 1])])
