@@ -37,6 +37,7 @@
 #include <climits>
 #include <cmath>
 #include <cstdarg>
+#include <cstdint>
 #include <cstdio>
 #include <filesystem>
 #include <map>
@@ -44,6 +45,7 @@
 #include <numeric>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "bezier_fem/error.h"
@@ -397,8 +399,10 @@ constexpr int SHARP_WORTH = 2;           // sharp edges are kept if that at most
 constexpr double SHARP_DIHEDRAL = 8;     // ... and leaves no smaller angle [degrees]
 constexpr int SHARP_ALONE = 1000000;     // elements, where there is no mesh without them to compare with
 constexpr double MOST_ELEMENTS = 5e6;    // some GB and hours
-constexpr double NOTABLE_VOLUME = 5;     // per cent more or less than the surface's: worth a warning
-constexpr double LOST_VOLUME = 25;       // the same: not this solid any more
+constexpr double MOST_NODES = 10;     // times those expected; up to 3 times were needed, for thin and curved solids ...
+constexpr double FREE_NODES = 5000;   // ... and these, whatever is expected
+constexpr double NOTABLE_VOLUME = 5;  // per cent more or less than the surface's: worth a warning
+constexpr double LOST_VOLUME = 25;    // the same: not this solid any more
 
 /** Points of each shell, as far from one another as they go: every piece and limb gets some, however small. */
 std::vector<Point> seeds(const Solid& solid, double spacing)
@@ -452,14 +456,27 @@ struct Model
   Quality quality;
 };
 
-/** Delaunay refinement of a solid, with its sharp edges kept or rounded off, and the removal of slivers. */
+/** What becomes of sharp edges, and whether a manifold boundary is insisted on or only checked. */
+enum class Style
+{
+  SHARP,         // kept; around them, insisting need not end
+  ROUNDED,       // rounded off and insisted; at a sharp corner that need not end either
+  ROUNDED_LOOSE  // rounded off and only checked
+};
+
+/** Delaunay refinement of a solid and the removal of slivers. */
 class Mesher
 {
 public:
-  Mesher(const Solid& solid, double cell_size, bool keep_sharp)
-      : solid_(solid), cell_size_(cell_size), keep_sharp_(keep_sharp), random_(0), domain_(solid.surface, &random_)
+  Mesher(const Solid& solid, double cell_size, Style style, const Progress& progress)
+      : solid_(solid),
+        cell_size_(cell_size),
+        style_(style),
+        progress_(progress),
+        random_(0),
+        domain_(solid.surface, &random_)
   {
-    if (keep_sharp) domain_.detect_features(SHARP_EDGE);
+    if (style == Style::SHARP) domain_.detect_features(SHARP_EDGE);
   }
 
   struct Refined
@@ -469,26 +486,26 @@ public:
   };
 
   /**
-   * Null where the boundary does not become that of a solid, or not with fewer than `most_nodes` (0: no limit). Where
-   * pieces get lost or stick together, it is tried again from more points.
+   * Null where the boundary does not become that of a solid, or not with fewer than `most_nodes` or any sensible number
+   * of them. Where pieces get lost or stick together, it is tried again from more points.
    */
-  std::unique_ptr<Refined> refined(std::size_t most_nodes)
+  std::unique_ptr<Refined> refined(std::size_t most_nodes = SIZE_MAX)
   {
-    most_nodes_ = most_nodes;
+    most_nodes_ = std::min(most_nodes, sensibleNodes());
     std::unique_ptr<Refined> first;
     for (const double spacing : {2., 1., 0.5})
     {
       seed_spacing_ = spacing * cell_size_;
       auto result = refine();
-      if (reached_limit_) return nullptr;
+      if (gave_up_) return nullptr;
       if (result && keepsPieces(result->topology)) return result;
       if (!first) first = std::move(result);
     }
     return first;
   }
 
-  /** Whether refined() gave up because of `most_nodes`. */
-  bool reachedLimit() const { return reached_limit_; }
+  /** Whether refined() would have needed more nodes than it may have, or would never have ended. */
+  bool gaveUp() const { return gave_up_; }
 
   bool keepsPieces(const Topology& topology) const
   {
@@ -503,6 +520,7 @@ public:
     for (const double sliver : {SLIVER, SLIVER / 2, 0.})
     {
       if (!start) start = refine();
+      progress_.show("removing slivers ...");
       if (sliver > 0) CGAL::perturb_mesh_3(start->complex, domain_, P::sliver_bound = sliver);
       CGAL::exude_mesh_3(start->complex, P::sliver_bound = SLIVER);
       Model model{extract(start->complex), {}, {}};
@@ -526,19 +544,49 @@ private:
                             P::cell_radius_edge_ratio = RADIUS_EDGE_RATIO, P::cell_size = cell_size_);
     auto result = std::make_unique<Refined>();
     Complex& complex = result->complex;
-    CGAL::Mesh_error_code error = CGAL::CGAL_MESH_3_NO_ERROR;
-    if (keep_sharp_)
-      CGAL::Mesh_3::internal::init_c3t3_with_features(complex, domain_, criteria, false, most_nodes_, &error);
+    if (style_ == Style::SHARP)
+      CGAL::Mesh_3::internal::init_c3t3_with_features(complex, domain_, criteria, false, most_nodes_);
     insertSeeds(complex);
-    // Around sharp edges, insisting on a manifold may never end; there it is only checked.
-    const auto manifold = keep_sharp_ ? P::non_manifold() : P::manifold();
-    CGAL::refine_mesh_3(
-        complex, domain_, criteria, P::no_reset_c3t3(), P::no_perturb(), P::no_exude(), manifold,
-        P::mesh_3_options(P::maximal_number_of_vertices = most_nodes_, P::pointer_to_error_code = &error));
-    reached_limit_ = error == CGAL::CGAL_MESH_3_MAXIMAL_NUMBER_OF_VERTICES_REACHED;
-    if (reached_limit_ || complex.number_of_cells_in_complex() == 0) return nullptr;
+    gave_up_ = !finishes(complex, criteria);
+    if (gave_up_ || complex.number_of_cells_in_complex() == 0) return nullptr;
     result->topology = findTopology(extract(complex));
     return result->topology.non_manifold == 0 ? std::move(result) : nullptr;
+  }
+
+  /**
+   * What CGAL::refine_mesh_3 does, step by step: that one has no end where triangles get so small, at a sharp corner,
+   * that the point which should split one is rounded to a place where it does not. False where it was not finished.
+   */
+  bool finishes(Complex& complex, const Criteria& criteria) const
+  {
+    using Boundary = CGAL::parameters::internal::Manifold_options;
+    const Triangulation& triangulation = complex.triangulation();
+    complex.clear_cells_and_facets_from_c3t3();
+    CGAL::Mesh_3::Mesher_3<Complex, Criteria, Domain> mesher(
+        complex, domain_, criteria, style_ == Style::ROUNDED ? Boundary::MANIFOLD : Boundary::NON_MANIFOLD,
+        most_nodes_);
+    mesher.initialize();
+    std::size_t nodes = triangulation.number_of_vertices(), idle_steps = 0;
+    for (std::size_t step = 0; step == 0 || !mesher.is_algorithm_done(); ++step)
+    {
+      if (step % 1000 == 0)
+        progress_.show((style_ == Style::SHARP ? "meshing with sharp edges" : "meshing") + text(": %zu nodes", nodes));
+      mesher.one_step();
+      const std::size_t nodes_before = std::exchange(nodes, triangulation.number_of_vertices());
+      idle_steps = nodes > nodes_before ? 0 : idle_steps + 1;
+      if (idle_steps > 1000 + nodes) return false;  // two in a row are rare
+    }
+    complex.clear_manifold_info();
+    return nodes < most_nodes_;
+  }
+
+  /** A limit for refinement that runs away. */
+  std::size_t sensibleNodes() const
+  {
+    // Thin solids are meshed as fine as they are thin.
+    const double thickness = 2 * solid_.volume / solid_.area, edge = std::min(cell_size_, thickness);
+    const double expected = solid_.volume / (edge * edge * edge) + solid_.area / (edge * edge);
+    return static_cast<std::size_t>(std::min(MOST_NODES * expected + FREE_NODES, MOST_ELEMENTS));
   }
 
   void insertSeeds(Complex& complex) const
@@ -560,10 +608,11 @@ private:
 
   const Solid& solid_;
   const double cell_size_;
-  const bool keep_sharp_;
+  const Style style_;
+  const Progress& progress_;
   std::size_t most_nodes_ = 0;
   double seed_spacing_ = 0;  // m
-  bool reached_limit_ = false;
+  bool gave_up_ = false;
   CGAL::Random random_;
   Domain domain_;
 };
@@ -647,8 +696,8 @@ void checkAgainst(const Options& options, const Solid& solid, const std::optiona
 /** What a mesh with sharp edges must be better than: one without. */
 struct Yardstick
 {
-  std::size_t most_elements = 0;  // 0: no limit
-  int most_euler_off = INT_MAX;   // from the surface's, see Topology
+  std::size_t most_elements = SIZE_MAX;
+  int most_euler_off = INT_MAX;  // from the surface's, see Topology
 };
 
 int eulerOff(const Solid& solid, const Topology& topology)
@@ -657,17 +706,18 @@ int eulerOff(const Solid& solid, const Topology& topology)
 }
 
 /** Where an element stays flat, a slightly smaller cell size leads to another mesh; the best of three is taken. */
-std::optional<Model> bestMesh(const Solid& solid, double cell_size, bool keep_sharp, const Yardstick& limit)
+std::optional<Model> bestMesh(const Solid& solid, double cell_size, Style style, const Yardstick& limit,
+                              const Progress& progress)
 {
   std::optional<Model> best;
   std::pair<bool, double> best_score(false, -1);
   for (const double factor : {1., 0.97, 0.94})
   {
-    Mesher mesher(solid, factor * cell_size, keep_sharp);
+    Mesher mesher(solid, factor * cell_size, style, progress);
     auto refined = mesher.refined(limit.most_elements / 2);  // with more nodes it has more elements
-    if (mesher.reachedLimit()) break;
+    if (mesher.gaveUp()) break;
     if (!refined || eulerOff(solid, refined->topology) > limit.most_euler_off) continue;
-    if (limit.most_elements > 0 && refined->complex.number_of_cells_in_complex() > limit.most_elements) break;
+    if (refined->complex.number_of_cells_in_complex() > limit.most_elements) break;
     std::optional<Model> model = mesher.withoutSlivers(std::move(refined));
     if (!model) continue;
     const std::pair<bool, double> score(mesher.keepsPieces(model->topology), model->quality.smallest_dihedral);
@@ -682,19 +732,26 @@ Model meshSolid(const Options& options, const Solid& solid, Remarks& remarks, co
 {
   const double h = options.cell_size;
   refuseTooFine(options, solid);
-  std::optional<Model> model;
+  std::optional<Model> model, sharp;
   if (hasSharpEdges(solid.surface))
   {
-    progress.show("meshing with sharp edges ...");
     Yardstick limit{SHARP_ALONE, INT_MAX};
-    if (const auto rounded = Mesher(solid, h, false).refined(0))
+    if (const auto rounded = Mesher(solid, h, Style::ROUNDED, progress).refined())
       limit = {SHARP_WORTH * rounded->complex.number_of_cells_in_complex(), eulerOff(solid, rounded->topology)};
-    model = bestMesh(solid, h, true, limit);
-    if (model && (model->topology.bodies != solid.bodies || model->quality.smallest_dihedral < SHARP_DIHEDRAL))
-      model.reset();
+    sharp = bestMesh(solid, h, Style::SHARP, limit, progress);
+    if (sharp && sharp->topology.bodies != solid.bodies) sharp.reset();
+    if (sharp && sharp->quality.smallest_dihedral >= SHARP_DIHEDRAL) model = sharp;
   }
-  progress.show("meshing ...");
-  if (!model) model = bestMesh(solid, h, false, {});
+  if (!model) model = bestMesh(solid, h, Style::ROUNDED, {}, progress);
+  if (!model) model = bestMesh(solid, h, Style::ROUNDED_LOOSE, {}, progress);
+  if (!model && sharp && sharp->quality.smallest_dihedral > 0)
+  {
+    // Where the surface itself has a sharper edge there may be no other mesh.
+    remarks.warnings.push_back(
+        options.surface +
+        text(": sharp edges leave a dihedral angle of %.2g degrees in the mesh", sharp->quality.smallest_dihedral));
+    model = std::move(sharp);
+  }
   progress.show("fitting the volume ...");
   if (model) fitTo(solid, h, *model);
   checkAgainst(options, solid, model, remarks);
