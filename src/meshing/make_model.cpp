@@ -399,10 +399,11 @@ constexpr int SHARP_WORTH = 2;           // sharp edges are kept if that at most
 constexpr double SHARP_DIHEDRAL = 8;     // ... and leaves no smaller angle [degrees]
 constexpr int SHARP_ALONE = 1000000;     // elements, where there is no mesh without them to compare with
 constexpr double MOST_ELEMENTS = 5e6;    // some GB and hours
-constexpr double MOST_NODES = 10;     // times those expected; up to 3 times were needed, for thin and curved solids ...
-constexpr double FREE_NODES = 5000;   // ... and these, whatever is expected
-constexpr double NOTABLE_VOLUME = 5;  // per cent more or less than the surface's: worth a warning
-constexpr double LOST_VOLUME = 25;    // the same: not this solid any more
+constexpr double MOST_NODES = 10;        // times those expected (thin, curved solids took 3) ...
+constexpr double FREE_NODES = 5000;      // ... and these, whatever is expected
+constexpr double SPECK = 1e-4;           // times the cell size: refinement that comes to such edges has run away
+constexpr double NOTABLE_VOLUME = 5;     // per cent more or less than the surface's: worth a warning
+constexpr double LOST_VOLUME = 25;       // the same: not this solid any more
 
 /** Points of each shell, as far from one another as they go: every piece and limb gets some, however small. */
 std::vector<Point> seeds(const Solid& solid, double spacing)
@@ -456,12 +457,37 @@ struct Model
   Quality quality;
 };
 
-/** What becomes of sharp edges, and whether a manifold boundary is insisted on or only checked. */
-enum class Style
+struct Style
 {
-  SHARP,         // kept; around them, insisting need not end
-  ROUNDED,       // rounded off and insisted; at a sharp corner that need not end either
-  ROUNDED_LOOSE  // rounded off and only checked
+  bool keep_sharp;          // edges; else they are rounded off
+  bool insist_on_manifold;  // boundary; else it is only checked. At sharp edges and corners insisting need not end
+};
+constexpr Style SHARP{true, false}, ROUNDED{false, true}, SHARP_AND_MANIFOLD{true, true};
+
+/** No criterion to be met: notes whether refinement has come to edges of triangles shorter than `length`. */
+class SpeckDetector : public Criteria::Facet_criteria::Abstract_criterion
+{
+public:
+  SpeckDetector(double length, bool& found) : squared_length_(length * length), found_(&found) {}
+
+protected:
+  void do_accept(Criteria::Facet_criteria::Visitor& visitor) const override { visitor.visit(*this); }
+  SpeckDetector* do_clone() const override { return new SpeckDetector(*this); }
+  Is_bad do_is_bad(const Triangulation& /*triangulation*/, const Triangulation::Facet& facet) const override
+  {
+    for (int i = 1; i <= 3; ++i)
+    {
+      const auto a = facet.first->vertex((facet.second + i) % 4),
+                 b = facet.first->vertex((facet.second + i % 3 + 1) % 4);
+      const bool given = a->in_dimension() < 2 && b->in_dimension() < 2;  // on sharp edges
+      if (!given && CGAL::squared_distance(a->point().point(), b->point().point()) < squared_length_) *found_ = true;
+    }
+    return {};
+  }
+
+private:
+  double squared_length_;
+  bool* found_;
 };
 
 /** Delaunay refinement of a solid and the removal of slivers. */
@@ -476,7 +502,7 @@ public:
         random_(0),
         domain_(solid.surface, &random_)
   {
-    if (style == Style::SHARP) domain_.detect_features(SHARP_EDGE);
+    if (style.keep_sharp) domain_.detect_features(SHARP_EDGE);
   }
 
   struct Refined
@@ -539,42 +565,44 @@ private:
   {
     namespace P = CGAL::parameters;
     CGAL::get_default_random() = CGAL::Random(0);
-    const Criteria criteria(P::edge_size = cell_size_, P::facet_angle = FACET_ANGLE,
-                            P::facet_size = FACET_SIZE * cell_size_, P::facet_distance = FACET_DISTANCE * cell_size_,
-                            P::cell_radius_edge_ratio = RADIUS_EDGE_RATIO, P::cell_size = cell_size_);
+    Criteria criteria(P::edge_size = cell_size_, P::facet_angle = FACET_ANGLE, P::facet_size = FACET_SIZE * cell_size_,
+                      P::facet_distance = FACET_DISTANCE * cell_size_, P::cell_radius_edge_ratio = RADIUS_EDGE_RATIO,
+                      P::cell_size = cell_size_);
     auto result = std::make_unique<Refined>();
     Complex& complex = result->complex;
-    if (style_ == Style::SHARP)
+    if (style_.keep_sharp)
       CGAL::Mesh_3::internal::init_c3t3_with_features(complex, domain_, criteria, false, most_nodes_);
     insertSeeds(complex);
-    gave_up_ = !finishes(complex, criteria);
+    bool has_speck = false;
+    criteria.add_facet_criterion(new SpeckDetector(SPECK * cell_size_, has_speck));
+    gave_up_ = !finishes(complex, criteria, has_speck);
     if (gave_up_ || complex.number_of_cells_in_complex() == 0) return nullptr;
     result->topology = findTopology(extract(complex));
     return result->topology.non_manifold == 0 ? std::move(result) : nullptr;
   }
 
   /**
-   * What CGAL::refine_mesh_3 does, step by step: that one has no end where triangles get so small, at a sharp corner,
-   * that the point which should split one is rounded to a place where it does not. False where it was not finished.
+   * What CGAL::refine_mesh_3 does, but step by step: that one has no end at a corner where it makes ever smaller
+   * triangles, until the point that should split one is rounded to a place where it does not. False where not finished.
    */
-  bool finishes(Complex& complex, const Criteria& criteria) const
+  bool finishes(Complex& complex, const Criteria& criteria, const bool& has_speck) const
   {
     using Boundary = CGAL::parameters::internal::Manifold_options;
     const Triangulation& triangulation = complex.triangulation();
     complex.clear_cells_and_facets_from_c3t3();
     CGAL::Mesh_3::Mesher_3<Complex, Criteria, Domain> mesher(
-        complex, domain_, criteria, style_ == Style::ROUNDED ? Boundary::MANIFOLD : Boundary::NON_MANIFOLD,
+        complex, domain_, criteria, style_.insist_on_manifold ? Boundary::MANIFOLD : Boundary::NON_MANIFOLD,
         most_nodes_);
     mesher.initialize();
     std::size_t nodes = triangulation.number_of_vertices(), idle_steps = 0;
     for (std::size_t step = 0; step == 0 || !mesher.is_algorithm_done(); ++step)
     {
       if (step % 1000 == 0)
-        progress_.show((style_ == Style::SHARP ? "meshing with sharp edges" : "meshing") + text(": %zu nodes", nodes));
+        progress_.show((style_.keep_sharp ? "meshing with sharp edges" : "meshing") + text(": %zu nodes", nodes));
       mesher.one_step();
       const std::size_t nodes_before = std::exchange(nodes, triangulation.number_of_vertices());
       idle_steps = nodes > nodes_before ? 0 : idle_steps + 1;
-      if (idle_steps > 1000 + nodes) return false;  // two in a row are rare
+      if (has_speck || idle_steps > 1000 + nodes) return false;  // two idle steps in a row are rare
     }
     complex.clear_manifold_info();
     return nodes < most_nodes_;
@@ -732,26 +760,18 @@ Model meshSolid(const Options& options, const Solid& solid, Remarks& remarks, co
 {
   const double h = options.cell_size;
   refuseTooFine(options, solid);
-  std::optional<Model> model, sharp;
+  std::optional<Model> model;
   if (hasSharpEdges(solid.surface))
   {
     Yardstick limit{SHARP_ALONE, INT_MAX};
-    if (const auto rounded = Mesher(solid, h, Style::ROUNDED, progress).refined())
+    if (const auto rounded = Mesher(solid, h, ROUNDED, progress).refined())
       limit = {SHARP_WORTH * rounded->complex.number_of_cells_in_complex(), eulerOff(solid, rounded->topology)};
-    sharp = bestMesh(solid, h, Style::SHARP, limit, progress);
-    if (sharp && sharp->topology.bodies != solid.bodies) sharp.reset();
-    if (sharp && sharp->quality.smallest_dihedral >= SHARP_DIHEDRAL) model = sharp;
+    model = bestMesh(solid, h, SHARP, limit, progress);
+    if (model && (model->topology.bodies != solid.bodies || model->quality.smallest_dihedral < SHARP_DIHEDRAL))
+      model.reset();
   }
-  if (!model) model = bestMesh(solid, h, Style::ROUNDED, {}, progress);
-  if (!model) model = bestMesh(solid, h, Style::ROUNDED_LOOSE, {}, progress);
-  if (!model && sharp && sharp->quality.smallest_dihedral > 0)
-  {
-    // Where the surface itself has a sharper edge there may be no other mesh.
-    remarks.warnings.push_back(
-        options.surface +
-        text(": sharp edges leave a dihedral angle of %.2g degrees in the mesh", sharp->quality.smallest_dihedral));
-    model = std::move(sharp);
-  }
+  if (!model) model = bestMesh(solid, h, ROUNDED, {}, progress);
+  if (!model) model = bestMesh(solid, h, SHARP_AND_MANIFOLD, {}, progress);  // thin wedges, however flat the elements
   progress.show("fitting the volume ...");
   if (model) fitTo(solid, h, *model);
   checkAgainst(options, solid, model, remarks);

@@ -192,33 +192,25 @@ TEST(MakeModel, SharpCornersDoNotKeepItBusyForEver)
   Shape corner;  // of a cube, cut off
   corner.points = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
   corner.polygons = {{0, 2, 1}, {0, 1, 3}, {0, 3, 2}, {1, 2, 3}};
-  const auto wedge = [](double degrees) {
-    Shape shape;
-    const double height = std::tan(degrees * M_PI / 180);
-    shape.points = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}, {1, 1, height}, {0, 1, height}};
-    shape.polygons = {{0, 3, 2, 1}, {0, 1, 4, 5}, {1, 2, 4}, {0, 5, 3}, {3, 5, 4, 2}};
-    return shape;
-  };
+  Shape wedge;  // of 15 degrees, which is thinner than the cell size near its edge
+  const double height = std::tan(M_PI / 12);
+  wedge.points = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}, {1, 1, height}, {0, 1, height}};
+  wedge.polygons = {{0, 3, 2, 1}, {0, 1, 4, 5}, {1, 2, 4}, {0, 5, 3}, {3, 5, 4, 2}};
   const struct
   {
     Shape shape;
     double volume;
-    double edge_angle;  // degrees, the sharpest
     std::string cell_size;
-  } cases[] = {{corner, 1. / 6, 54.7, "0.3"},
-               {corner, 1. / 6, 54.7, "0.06"},
-               {wedge(15), std::tan(15 * M_PI / 180) / 2, 15, "0.1"},
-               {wedge(6), std::tan(6 * M_PI / 180) / 2, 6, "0.1"}};
+  } cases[] = {{corner, 1. / 6, "0.3"}, {corner, 1. / 6, "0.06"}, {wedge, height / 2, "0.1"}};
   for (const auto& c : cases)
   {
-    SCOPED_TRACE(std::to_string(c.edge_angle) + " degrees, cell size " + c.cell_size);
+    SCOPED_TRACE(std::to_string(c.shape.points.size()) + " corners, cell size " + c.cell_size);
     directory.write("sharp.off", offText(c.shape));
     const Result run = makeModel(directory, "sharp.off sharp.msh --cell-size " + c.cell_size);
     ASSERT_EQ(run.status, 0) << run.err;
     const Msh mesh(directory / "sharp.msh");
-    for (std::size_t t = 0; t < mesh.tets.size(); ++t) EXPECT_GT(mesh.tetVolume(t), 0);
-    EXPECT_GT(mesh.smallestDihedral(), std::min(9.9, 0.5 * c.edge_angle));
-    EXPECT_NEAR(mesh.volume() / c.volume, 1, 0.05);
+    expectSound(mesh);
+    EXPECT_NEAR(mesh.volume() / c.volume, 1, 1e-9);
     EXPECT_EQ(mesh.eulerCharacteristic(), 2);
   }
 }
