@@ -37,6 +37,7 @@
 #include <climits>
 #include <cmath>
 #include <cstdarg>
+#include <cstdint>
 #include <cstdio>
 #include <filesystem>
 #include <map>
@@ -44,6 +45,7 @@
 #include <numeric>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "bezier_fem/error.h"
@@ -397,6 +399,9 @@ constexpr int SHARP_WORTH = 2;           // sharp edges are kept if that at most
 constexpr double SHARP_DIHEDRAL = 8;     // ... and leaves no smaller angle [degrees]
 constexpr int SHARP_ALONE = 1000000;     // elements, where there is no mesh without them to compare with
 constexpr double MOST_ELEMENTS = 5e6;    // some GB and hours
+constexpr double MOST_NODES = 10;        // times those expected (thin, curved solids took 3) ...
+constexpr double FREE_NODES = 5000;      // ... and these, whatever is expected
+constexpr double SPECK = 1e-4;           // times the cell size: refinement that comes to such edges has run away
 constexpr double NOTABLE_VOLUME = 5;     // per cent more or less than the surface's: worth a warning
 constexpr double LOST_VOLUME = 25;       // the same: not this solid any more
 
@@ -452,14 +457,52 @@ struct Model
   Quality quality;
 };
 
-/** Delaunay refinement of a solid, with its sharp edges kept or rounded off, and the removal of slivers. */
+struct Style
+{
+  bool keep_sharp;          // edges; else they are rounded off
+  bool insist_on_manifold;  // boundary; else it is only checked. At sharp edges and corners insisting need not end
+};
+constexpr Style SHARP{true, false}, ROUNDED{false, true}, SHARP_AND_MANIFOLD{true, true};
+
+/** No criterion to be met: notes whether refinement has come to edges of triangles shorter than `length`. */
+class SpeckDetector : public Criteria::Facet_criteria::Abstract_criterion
+{
+public:
+  SpeckDetector(double length, bool& found) : squared_length_(length * length), found_(&found) {}
+
+protected:
+  void do_accept(Criteria::Facet_criteria::Visitor& visitor) const override { visitor.visit(*this); }
+  SpeckDetector* do_clone() const override { return new SpeckDetector(*this); }
+  Is_bad do_is_bad(const Triangulation& /*triangulation*/, const Triangulation::Facet& facet) const override
+  {
+    for (int i = 1; i <= 3; ++i)
+    {
+      const auto a = facet.first->vertex((facet.second + i) % 4),
+                 b = facet.first->vertex((facet.second + i % 3 + 1) % 4);
+      const bool given = a->in_dimension() < 2 && b->in_dimension() < 2;  // on sharp edges
+      if (!given && CGAL::squared_distance(a->point().point(), b->point().point()) < squared_length_) *found_ = true;
+    }
+    return {};
+  }
+
+private:
+  double squared_length_;
+  bool* found_;
+};
+
+/** Delaunay refinement of a solid and the removal of slivers. */
 class Mesher
 {
 public:
-  Mesher(const Solid& solid, double cell_size, bool keep_sharp)
-      : solid_(solid), cell_size_(cell_size), keep_sharp_(keep_sharp), random_(0), domain_(solid.surface, &random_)
+  Mesher(const Solid& solid, double cell_size, Style style, const Progress& progress)
+      : solid_(solid),
+        cell_size_(cell_size),
+        style_(style),
+        progress_(progress),
+        random_(0),
+        domain_(solid.surface, &random_)
   {
-    if (keep_sharp) domain_.detect_features(SHARP_EDGE);
+    if (style.keep_sharp) domain_.detect_features(SHARP_EDGE);
   }
 
   struct Refined
@@ -469,26 +512,26 @@ public:
   };
 
   /**
-   * Null where the boundary does not become that of a solid, or not with fewer than `most_nodes` (0: no limit). Where
-   * pieces get lost or stick together, it is tried again from more points.
+   * Null where the boundary does not become that of a solid, or not with fewer than `most_nodes` or any sensible number
+   * of them. Where pieces get lost or stick together, it is tried again from more points.
    */
-  std::unique_ptr<Refined> refined(std::size_t most_nodes)
+  std::unique_ptr<Refined> refined(std::size_t most_nodes = SIZE_MAX)
   {
-    most_nodes_ = most_nodes;
+    most_nodes_ = std::min(most_nodes, sensibleNodes());
     std::unique_ptr<Refined> first;
     for (const double spacing : {2., 1., 0.5})
     {
       seed_spacing_ = spacing * cell_size_;
       auto result = refine();
-      if (reached_limit_) return nullptr;
+      if (gave_up_) return nullptr;
       if (result && keepsPieces(result->topology)) return result;
       if (!first) first = std::move(result);
     }
     return first;
   }
 
-  /** Whether refined() gave up because of `most_nodes`. */
-  bool reachedLimit() const { return reached_limit_; }
+  /** Whether refined() would have needed more nodes than it may have, or would never have ended. */
+  bool gaveUp() const { return gave_up_; }
 
   bool keepsPieces(const Topology& topology) const
   {
@@ -503,6 +546,7 @@ public:
     for (const double sliver : {SLIVER, SLIVER / 2, 0.})
     {
       if (!start) start = refine();
+      progress_.show("removing slivers ...");
       if (sliver > 0) CGAL::perturb_mesh_3(start->complex, domain_, P::sliver_bound = sliver);
       CGAL::exude_mesh_3(start->complex, P::sliver_bound = SLIVER);
       Model model{extract(start->complex), {}, {}};
@@ -521,24 +565,56 @@ private:
   {
     namespace P = CGAL::parameters;
     CGAL::get_default_random() = CGAL::Random(0);
-    const Criteria criteria(P::edge_size = cell_size_, P::facet_angle = FACET_ANGLE,
-                            P::facet_size = FACET_SIZE * cell_size_, P::facet_distance = FACET_DISTANCE * cell_size_,
-                            P::cell_radius_edge_ratio = RADIUS_EDGE_RATIO, P::cell_size = cell_size_);
+    Criteria criteria(P::edge_size = cell_size_, P::facet_angle = FACET_ANGLE, P::facet_size = FACET_SIZE * cell_size_,
+                      P::facet_distance = FACET_DISTANCE * cell_size_, P::cell_radius_edge_ratio = RADIUS_EDGE_RATIO,
+                      P::cell_size = cell_size_);
     auto result = std::make_unique<Refined>();
     Complex& complex = result->complex;
-    CGAL::Mesh_error_code error = CGAL::CGAL_MESH_3_NO_ERROR;
-    if (keep_sharp_)
-      CGAL::Mesh_3::internal::init_c3t3_with_features(complex, domain_, criteria, false, most_nodes_, &error);
+    if (style_.keep_sharp)
+      CGAL::Mesh_3::internal::init_c3t3_with_features(complex, domain_, criteria, false, most_nodes_);
     insertSeeds(complex);
-    // Around sharp edges, insisting on a manifold may never end; there it is only checked.
-    const auto manifold = keep_sharp_ ? P::non_manifold() : P::manifold();
-    CGAL::refine_mesh_3(
-        complex, domain_, criteria, P::no_reset_c3t3(), P::no_perturb(), P::no_exude(), manifold,
-        P::mesh_3_options(P::maximal_number_of_vertices = most_nodes_, P::pointer_to_error_code = &error));
-    reached_limit_ = error == CGAL::CGAL_MESH_3_MAXIMAL_NUMBER_OF_VERTICES_REACHED;
-    if (reached_limit_ || complex.number_of_cells_in_complex() == 0) return nullptr;
+    bool has_speck = false;
+    criteria.add_facet_criterion(new SpeckDetector(SPECK * cell_size_, has_speck));
+    gave_up_ = !finishes(complex, criteria, has_speck);
+    if (gave_up_ || complex.number_of_cells_in_complex() == 0) return nullptr;
     result->topology = findTopology(extract(complex));
     return result->topology.non_manifold == 0 ? std::move(result) : nullptr;
+  }
+
+  /**
+   * What CGAL::refine_mesh_3 does, but step by step: that one has no end at a corner where it makes ever smaller
+   * triangles, until the point that should split one is rounded to a place where it does not. False where not finished.
+   */
+  bool finishes(Complex& complex, const Criteria& criteria, const bool& has_speck) const
+  {
+    using Boundary = CGAL::parameters::internal::Manifold_options;
+    const Triangulation& triangulation = complex.triangulation();
+    complex.clear_cells_and_facets_from_c3t3();
+    CGAL::Mesh_3::Mesher_3<Complex, Criteria, Domain> mesher(
+        complex, domain_, criteria, style_.insist_on_manifold ? Boundary::MANIFOLD : Boundary::NON_MANIFOLD,
+        most_nodes_);
+    mesher.initialize();
+    std::size_t nodes = triangulation.number_of_vertices(), idle_steps = 0;
+    for (std::size_t step = 0; step == 0 || !mesher.is_algorithm_done(); ++step)
+    {
+      if (step % 1000 == 0)
+        progress_.show((style_.keep_sharp ? "meshing with sharp edges" : "meshing") + text(": %zu nodes", nodes));
+      mesher.one_step();
+      const std::size_t nodes_before = std::exchange(nodes, triangulation.number_of_vertices());
+      idle_steps = nodes > nodes_before ? 0 : idle_steps + 1;
+      if (has_speck || idle_steps > 1000 + nodes) return false;  // two idle steps in a row are rare
+    }
+    complex.clear_manifold_info();
+    return nodes < most_nodes_;
+  }
+
+  /** A limit for refinement that runs away. */
+  std::size_t sensibleNodes() const
+  {
+    // Thin solids are meshed as fine as they are thin.
+    const double thickness = 2 * solid_.volume / solid_.area, edge = std::min(cell_size_, thickness);
+    const double expected = solid_.volume / (edge * edge * edge) + solid_.area / (edge * edge);
+    return static_cast<std::size_t>(std::min(MOST_NODES * expected + FREE_NODES, MOST_ELEMENTS));
   }
 
   void insertSeeds(Complex& complex) const
@@ -560,10 +636,11 @@ private:
 
   const Solid& solid_;
   const double cell_size_;
-  const bool keep_sharp_;
+  const Style style_;
+  const Progress& progress_;
   std::size_t most_nodes_ = 0;
   double seed_spacing_ = 0;  // m
-  bool reached_limit_ = false;
+  bool gave_up_ = false;
   CGAL::Random random_;
   Domain domain_;
 };
@@ -647,8 +724,8 @@ void checkAgainst(const Options& options, const Solid& solid, const std::optiona
 /** What a mesh with sharp edges must be better than: one without. */
 struct Yardstick
 {
-  std::size_t most_elements = 0;  // 0: no limit
-  int most_euler_off = INT_MAX;   // from the surface's, see Topology
+  std::size_t most_elements = SIZE_MAX;
+  int most_euler_off = INT_MAX;  // from the surface's, see Topology
 };
 
 int eulerOff(const Solid& solid, const Topology& topology)
@@ -657,17 +734,18 @@ int eulerOff(const Solid& solid, const Topology& topology)
 }
 
 /** Where an element stays flat, a slightly smaller cell size leads to another mesh; the best of three is taken. */
-std::optional<Model> bestMesh(const Solid& solid, double cell_size, bool keep_sharp, const Yardstick& limit)
+std::optional<Model> bestMesh(const Solid& solid, double cell_size, Style style, const Yardstick& limit,
+                              const Progress& progress)
 {
   std::optional<Model> best;
   std::pair<bool, double> best_score(false, -1);
   for (const double factor : {1., 0.97, 0.94})
   {
-    Mesher mesher(solid, factor * cell_size, keep_sharp);
+    Mesher mesher(solid, factor * cell_size, style, progress);
     auto refined = mesher.refined(limit.most_elements / 2);  // with more nodes it has more elements
-    if (mesher.reachedLimit()) break;
+    if (mesher.gaveUp()) break;
     if (!refined || eulerOff(solid, refined->topology) > limit.most_euler_off) continue;
-    if (limit.most_elements > 0 && refined->complex.number_of_cells_in_complex() > limit.most_elements) break;
+    if (refined->complex.number_of_cells_in_complex() > limit.most_elements) break;
     std::optional<Model> model = mesher.withoutSlivers(std::move(refined));
     if (!model) continue;
     const std::pair<bool, double> score(mesher.keepsPieces(model->topology), model->quality.smallest_dihedral);
@@ -685,16 +763,15 @@ Model meshSolid(const Options& options, const Solid& solid, Remarks& remarks, co
   std::optional<Model> model;
   if (hasSharpEdges(solid.surface))
   {
-    progress.show("meshing with sharp edges ...");
     Yardstick limit{SHARP_ALONE, INT_MAX};
-    if (const auto rounded = Mesher(solid, h, false).refined(0))
+    if (const auto rounded = Mesher(solid, h, ROUNDED, progress).refined())
       limit = {SHARP_WORTH * rounded->complex.number_of_cells_in_complex(), eulerOff(solid, rounded->topology)};
-    model = bestMesh(solid, h, true, limit);
+    model = bestMesh(solid, h, SHARP, limit, progress);
     if (model && (model->topology.bodies != solid.bodies || model->quality.smallest_dihedral < SHARP_DIHEDRAL))
       model.reset();
   }
-  progress.show("meshing ...");
-  if (!model) model = bestMesh(solid, h, false, {});
+  if (!model) model = bestMesh(solid, h, ROUNDED, {}, progress);
+  if (!model) model = bestMesh(solid, h, SHARP_AND_MANIFOLD, {}, progress);  // thin wedges, however flat the elements
   progress.show("fitting the volume ...");
   if (model) fitTo(solid, h, *model);
   checkAgainst(options, solid, model, remarks);

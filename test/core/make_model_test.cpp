@@ -17,13 +17,13 @@ struct Result
   std::string out, err;
 };
 
-/** `arguments` as in a shell, without redirections. */
+/** `arguments` as in a shell, without redirections. A run that does not end has status 124. */
 Result makeModel(const TemporaryDirectory& directory, const std::string& arguments)
 {
   const std::string out = directory / "stdout", err = directory / "stderr";
-  const int status = std::system(
-      ("cd '" + directory / "" + "' && '" BIN_DIR "/make_model' " + arguments + " >'" + out + "' 2>'" + err + "'")
-          .c_str());
+  const int status = std::system(("cd '" + directory / "" + "' && timeout 120 '" BIN_DIR "/make_model' " + arguments +
+                                  " >'" + out + "' 2>'" + err + "'")
+                                     .c_str());
   return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, contentOf(out), contentOf(err)};
 }
 
@@ -183,6 +183,36 @@ TEST(MakeModel, KeepsTheEdgesOfACube)
   // The largest circumradius is the cell size: no edge is longer than twice that.
   for (const auto& v : mesh.tets)
     for (int i = 0; i < 4; ++i) EXPECT_LT((mesh.points[v[i]] - mesh.points[v[(i + 1) % 4]]).norm(), 0.5);
+}
+
+// A manifold boundary with rounded edges needs ever more points at such corners, down to the rounding of coordinates.
+TEST(MakeModel, SharpCornersDoNotKeepItBusyForEver)
+{
+  const TemporaryDirectory directory;
+  Shape corner;  // of a cube, cut off
+  corner.points = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+  corner.polygons = {{0, 2, 1}, {0, 1, 3}, {0, 3, 2}, {1, 2, 3}};
+  Shape wedge;  // of 15 degrees, which is thinner than the cell size near its edge
+  const double height = std::tan(M_PI / 12);
+  wedge.points = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0}, {1, 1, height}, {0, 1, height}};
+  wedge.polygons = {{0, 3, 2, 1}, {0, 1, 4, 5}, {1, 2, 4}, {0, 5, 3}, {3, 5, 4, 2}};
+  const struct
+  {
+    Shape shape;
+    double volume;
+    std::string cell_size;
+  } cases[] = {{corner, 1. / 6, "0.3"}, {corner, 1. / 6, "0.06"}, {wedge, height / 2, "0.1"}};
+  for (const auto& c : cases)
+  {
+    SCOPED_TRACE(std::to_string(c.shape.points.size()) + " corners, cell size " + c.cell_size);
+    directory.write("sharp.off", offText(c.shape));
+    const Result run = makeModel(directory, "sharp.off sharp.msh --cell-size " + c.cell_size);
+    ASSERT_EQ(run.status, 0) << run.err;
+    const Msh mesh(directory / "sharp.msh");
+    expectSound(mesh);
+    EXPECT_NEAR(mesh.volume() / c.volume, 1, 1e-9);
+    EXPECT_EQ(mesh.eulerCharacteristic(), 2);
+  }
 }
 
 TEST(MakeModel, ACoarseSphereHasTheVolumeOfItsSurface)
