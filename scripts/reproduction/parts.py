@@ -429,8 +429,8 @@ def spin():
     picture(figure, "spin")
     momentum = max(row["momentum"] for row in rows)
     table = [{"law": law, "integrator": kind[0], "time_step": kind[1],
-              **{f"{motion}_momentum": max(row["angular_momentum"] for row in ours) for motion, ours in motions.items()},
-              **{f"{motion}_energy": ours[-1]["energy"] for motion, ours in motions.items()}}
+              **{f"{name}_momentum": max(row["angular_momentum"] for row in ours) for name, ours in motions.items()},
+              **{f"{name}_energy": ours[-1]["energy"] for name, ours in motions.items()}}
              for (law, *kind), motions in laws.items()]
     residual = max(row["worst_residual"] for row in rows)
     return {"table": table, "momentum": momentum, "residual": residual, "checks": [
