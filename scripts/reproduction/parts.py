@@ -2,6 +2,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 
 import numpy as np
@@ -316,6 +317,7 @@ def recovery():
         same_window(axes_row, camera, clouds)
     figure.subplots_adjust(wspace=0, hspace=0.12)
     picture(figure, "recovery_bear")
+    shutil.rmtree(folder("recovery"))  # a gigabyte
     left = sum(one["inverted_after"] for one in series)
     apart = max(one["apart"] for one in series)
     return {"series": series, "checks": [
@@ -360,13 +362,13 @@ def convergence():
             h, error = ([row[key] for row in ours] for key in ("h", quantity + "_error"))
             last[problem, quantity, element] = ours[-1][quantity + "_order"]
             axes.loglog(h, error, "o-", color=PAIR[element],
-                        label=f"{element}, order {last[problem, quantity, element]:.2f} at the end")
+                        label=f"{element}: {last[problem, quantity, element]:.2f}")
     for axes, title in ((smooth, "smooth problem: displacement"), (stress, "smooth problem: stress"),
                         (bar, "clamped bar: deflection of the tip")):
         axes.set(title=title, xlabel="h (m)", ylabel="relative error", xticks=[0.03, 0.1, 0.3])
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("")
-        axes.legend(loc="lower right", fontsize=8)
+        axes.legend(loc="upper left", fontsize=8, title="order at the end", title_fontsize=8)
     figure.tight_layout()
     picture(figure, "convergence")
     for element, quantity, least in (("quadratic", "displacement", 2.9), ("linear", "displacement", 1.9),
@@ -427,8 +429,8 @@ def spin():
     picture(figure, "spin")
     momentum = max(row["momentum"] for row in rows)
     table = [{"law": law, "integrator": kind[0], "time_step": kind[1],
-              **{f"{motion}_momentum": max(row["angular_momentum"] for row in ours) for motion, ours in motions.items()},
-              **{f"{motion}_energy": ours[-1]["energy"] for motion, ours in motions.items()}}
+              **{f"{name}_momentum": max(row["angular_momentum"] for row in ours) for name, ours in motions.items()},
+              **{f"{name}_energy": ours[-1]["energy"] for name, ours in motions.items()}}
              for (law, *kind), motions in laws.items()]
     residual = max(row["worst_residual"] for row in rows)
     return {"table": table, "momentum": momentum, "residual": residual, "checks": [

@@ -220,7 +220,7 @@ def equal_accuracy(part):
 
 def convergence(_):
     yield from paragraph("## Order of convergence")
-    yield from paragraph("![Error over mesh size](reproduction/convergence.png)")
+    yield from paragraph("![Error over mesh size, and the order at the end](reproduction/convergence.png)")
     yield from paragraph("""
         Smooth problem: a made-up displacement on irregular meshes, small strain, errors in L2. The clamped bar
         holds both elements back: at its clamped edge the stress has no limit.""")
