@@ -109,6 +109,12 @@ struct Scene
   {
     double tolerance = 1e-4;
     int max_iterations = 500;
+    enum class Preconditioner
+    {
+      AUTO,
+      BLOCK_JACOBI,
+      PMULTIGRID
+    } preconditioner = Preconditioner::AUTO;
     enum class Operator
     {
       MATRIX_FREE,

@@ -16,6 +16,7 @@
 namespace bezier_fem
 {
 class AssembledSystem;
+class PMultigrid;
 class SpectralBound;
 struct GreenTangent;
 struct NewtonMemory;
@@ -53,13 +54,14 @@ struct StageTimes
 
 struct StepReport
 {
-  int substeps = 1;       // 1: exactly one lagged step
-  double turn = 0;        // rad: the largest angle that an element turned by in an accepted (sub-)step
-  int inverted = 0;       // elements that end with det F <= 0: where a rotation is taken, or at a corner (green)
-  int iterations = 0;     // of the linear solver, in all
-  double residual = 0;    // worst (sub-)step, relative, as the tolerance measures it
-  bool converged = true;  // every residual within the tolerance
-  bool finite = true;     // false: the state is lost
+  int substeps = 1;        // 1: exactly one lagged step
+  double turn = 0;         // rad: the largest angle that an element turned by in an accepted (sub-)step
+  int inverted = 0;        // elements that end with det F <= 0: where a rotation is taken, or at a corner (green)
+  int iterations = 0;      // of the linear solver, in all
+  double residual = 0;     // worst (sub-)step, relative, as the tolerance measures it
+  bool converged = true;   // every residual within the tolerance
+  bool finite = true;      // false: the state is lost
+  bool multigrid = false;  // whether a system was solved with p-multigrid, not with the diagonal blocks alone
   StageTimes ms;
 };
 
@@ -83,6 +85,8 @@ struct Workspace
   Rotations candidate;
   AlignedVector<double> turned;
   int history = 0;                             // how many of last_change, last_but_one_change hold
+  std::unique_ptr<PMultigrid> multigrid;       // since it was first wanted
+  bool multigrid_failed = false;               // not to be tried again
   std::unique_ptr<AssembledSystem> assembled;  // where the settings ask for a matrix
   std::unique_ptr<SpectralBound> bound;        // of explicit steps
   std::unique_ptr<GreenTangent> green;         // of explicit steps of Green's strain

@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cmath>
 
+#include "bezier_fem/p_multigrid.h"
 #include "kernels.h"
 #include "parallel.h"
 
@@ -103,7 +104,7 @@ double ConjugateGradient::relativeNorm(const Partition& partition, const NodalFi
 }
 
 SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partition& partition, const NodalField& b,
-                                     NodalField& u, double tolerance, int max_iterations)
+                                     NodalField& u, double tolerance, int max_iterations, PMultigrid* multigrid)
 {
   const kernels::Table& kernel = kernels::table();
   const double scale = std::max(norm(partition, b), floor_);
@@ -128,10 +129,10 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
       p_.matrix().middleCols(begin, count).setZero();
     });
     // With a step of zero, advance() leaves r and sets z.
-    double rz = sumOverThreads(partition, [&](int begin, int end) {
+    double norm2 = sumOverThreads(partition, [&](int begin, int end) {
       return kernel.advance(begin, end, 0, p_.data(), q_.data(), inverse_.data(), z_.data(), r_.data(), z_.data());
     });
-    if (may_restart && rz > scale * scale)
+    if (may_restart && norm2 > scale * scale)
     {
       // The start value is worse than none.
       may_restart = false;
@@ -139,9 +140,21 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
       continue;
     }
     may_restart = false;
-    report.residual = std::sqrt(rz) / scale;
+    report.residual = std::sqrt(norm2) / scale;
     report.converged = report.residual <= tolerance;
-    if (report.converged || report.iterations >= max_iterations || !std::isfinite(rz)) return report;
+    if (report.converged || report.iterations >= max_iterations || !std::isfinite(norm2)) return report;
+    const auto slope = [&] {
+      if (!multigrid) return norm2;
+      multigrid->apply(partition, r_, z_);
+      return sumOverThreads(partition,
+                            [&](int begin, int end) { return kernel.dot(begin, end, r_.data(), z_.data()); });
+    };
+    double rz = slope();
+    if (!(rz > 0))
+    {
+      multigrid = nullptr;  // has lost its way, as it may with every element turned inside out
+      continue;
+    }
     p_.matrix() = z_.matrix();
     const double target = tolerance * scale;
     while (report.iterations < max_iterations)
@@ -156,12 +169,14 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
         return report;
       }
       const double before = rz;
-      rz = sumOverThreads(partition, [&](int begin, int end) {
+      norm2 = sumOverThreads(partition, [&](int begin, int end) {
         return kernel.advance(begin, end, before / curvature, p_.data(), q_.data(), inverse_.data(), u.data(),
                               r_.data(), z_.data());
       });
       // A little below, so that rounding in the update does not cost a second round.
-      if (!(std::sqrt(rz) > 0.99 * target)) break;
+      if (!(std::sqrt(norm2) > 0.99 * target)) break;
+      rz = slope();
+      if (!(rz > 0)) break;
       forEachThread(partition, [&](int t) {
         kernel.redirect(partition.nodeBegin(t), partition.nodeEnd(t), rz / before, z_.data(), p_.data());
       });

@@ -205,6 +205,9 @@ struct Table
   /** x += a p, r -= a q, z = B^-1 r; returns r.z. */
   double (*advance)(int begin, int end, double a, const double* p, const double* q, const double* inverse, double* x,
                     double* r, double* z);
+  /** r -= q (or, where q is null, r as it is), d = keep d + gain B^-1 r, z += d. */
+  void (*chebyshev)(int begin, int end, double keep, double gain, const double* q, const double* inverse, double* r,
+                    double* d, double* z);
   /** p = z + b p */
   void (*redirect)(int begin, int end, double b, const double* z, double* p);
 

@@ -615,6 +615,33 @@ double advance(int begin, int end, double a, const double* p, const double* q, c
   return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
+template <bool SUBTRACT>
+void chebyshevTerm(int begin, int end, double keep, double gain, const double* q, const double* inverse, double* r,
+                   double* d, double* z)
+{
+  for (int i = begin; i < end; ++i)
+  {
+    Node res = loadNode(r, i);
+    if constexpr (SUBTRACT)
+    {
+      res -= loadNode(q, i);
+      *reinterpret_cast<Node*>(r + 4L * i) = res;
+    }
+    const double* columns = inverse + static_cast<long>(INVERSE_STRIDE) * i;
+    const Node pre = res[0] * loadNode(columns, 0) + res[1] * loadNode(columns, 1) + res[2] * loadNode(columns, 2);
+    // Where nothing is kept, d may be anything.
+    const Node direction = keep != 0 ? keep * loadNode(d, i) + gain * pre : gain * pre;
+    *reinterpret_cast<Node*>(d + 4L * i) = direction;
+    *reinterpret_cast<Node*>(z + 4L * i) += direction;
+  }
+}
+
+void chebyshev(int begin, int end, double keep, double gain, const double* q, const double* inverse, double* r,
+               double* d, double* z)
+{
+  (q ? chebyshevTerm<true> : chebyshevTerm<false>)(begin, end, keep, gain, q, inverse, r, d, z);
+}
+
 void redirect(int begin, int end, double b, const double* z, double* p)
 {
   for (int i = begin; i < end; ++i) *reinterpret_cast<Node*>(p + 4L * i) = loadNode(z, i) + b * loadNode(p, i);
@@ -681,6 +708,7 @@ const Table TABLE = {
     blockProduct,
     dot,
     advance,
+    chebyshev,
     redirect,
     {greenEnergy<4>, addGreenForce<4>, lineariseGreen<4>, addGreenProduct<4>, addGreenDiagonal<4>},
     {greenEnergy<10>, addGreenForce<10>, lineariseGreen<10>, addGreenProduct<10>, addGreenDiagonal<10>}};

@@ -215,14 +215,6 @@ T readChoice(const Value& value, const std::vector<std::pair<std::string, T>>& c
   value.mustBe(allowed + suggestion(value.isScalar() ? value.node.text : "", names));
 }
 
-/** The choices of a key that has a single meaning so far, and so no member in Scene. */
-void checkChoice(const Value& value, const Names& names, const Names& later)
-{
-  std::vector<std::pair<std::string, bool>> choices;
-  for (const std::string& name : names) choices.emplace_back(name, true);
-  readChoice(value, choices, later);
-}
-
 /** A map all of whose keys are known. */
 class Map
 {
@@ -488,8 +480,14 @@ Scene::Node readNode(const Value& value)
 void readSolver(const Value& value, Scene::Solver& solver)
 {
   const Map map(value, {"preconditioner", "operator", "tolerance", "max_iterations"});
-  if (const auto found = map.find("preconditioner"))
-    checkChoice(*found, {"auto", "block_jacobi"}, {"pmultigrid", "direct"});
+  map.get("preconditioner", solver.preconditioner, [](const Value& name) {
+    using Preconditioner = Scene::Solver::Preconditioner;
+    return readChoice<Preconditioner>(name,
+                                      {{"auto", Preconditioner::AUTO},
+                                       {"block_jacobi", Preconditioner::BLOCK_JACOBI},
+                                       {"pmultigrid", Preconditioner::PMULTIGRID}},
+                                      {"direct"});
+  });
   map.get("operator", solver.system_operator, [](const Value& form) {
     using Operator = Scene::Solver::Operator;
     return readChoice<Operator>(form, {{"matrix_free", Operator::MATRIX_FREE}, {"assembled", Operator::ASSEMBLED}});

@@ -5,8 +5,10 @@
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/green_strain.h"
+#include "bezier_fem/p_multigrid.h"
 #include "bezier_fem/stable_step.h"
 #include "forces.h"
+#include "linear_solve.h"
 #include "newton.h"
 #include "stopwatch.h"
 
@@ -61,11 +63,8 @@ void laggedStep(const Model& model, const StepSettings& settings, const Supports
   {
     w.change.setZero();
   }
-  const SolveReport solved = w.solver.solve(system, w.partition, w.rhs, w.change, settings.solver.tolerance,
-                                            std::max(1, settings.solver.max_iterations));
-  report.iterations += solved.iterations;
-  report.residual = std::max(report.residual, solved.residual);
-  report.converged = report.converged && solved.converged;
+  solveLinear(model, settings, supports, state.rotations, system, alpha, beta, settings.solver.tolerance,
+              std::max(1, settings.solver.max_iterations), h == settings.time_step, w, report);
   w.balance.matrix() = nodes(w.solver.residual(), model) / -h;
 
   state.v.matrix() += w.change.matrix();
@@ -169,6 +168,8 @@ Workspace::~Workspace() = default;
 void Workspace::forgetMaterials()
 {
   bound.reset();
+  if (multigrid) multigrid->forget();
+  multigrid_failed = false;
 }
 
 State startState(const Model& model, const StepSettings& settings, const Supports& supports, const NodalField& x,

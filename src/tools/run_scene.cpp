@@ -198,6 +198,7 @@ private:
 
   long steps_ = 0, substeps_ = 0, substepped_ = 0;
   bool converged_ = true, finite_ = true;
+  bool multigrid_ = false;
   double residual_ = 0, turn_ = 0, kinetic_ = 0, kinetic_peak_ = 0;
   std::vector<double> iterations_;
   std::array<std::vector<double>, 6> ms_;  // rotation, assembly, force, solve, surface, total
@@ -208,6 +209,7 @@ private:
     finite_ = finite_ && report.finite;
     residual_ = std::max(residual_, report.residual);
     turn_ = std::max(turn_, report.turn);
+    multigrid_ = multigrid_ || report.multigrid;
     substeps_ += report.substeps;
     substepped_ += report.substeps > 1;
     iterations_.push_back(report.iterations);
@@ -293,6 +295,7 @@ private:
                         {"surface", median(ms_[4])},
                         {"total", median(ms_[5])}};
     j["iterations"] = median(iterations_);
+    j["preconditioner"] = multigrid_ ? "pmultigrid" : "block_jacobi";
     j["residual"] = residual_;
     const Energies energy = simulation_.energies();
     j["energy"] = {{"kinetic", energy.kinetic}, {"elastic", energy.elastic}, {"gravity", energy.gravity}};

@@ -1,0 +1,315 @@
+#include "sparse_cholesky.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+
+namespace bezier_fem
+{
+namespace
+{
+using FloatPanel = Eigen::Map<Eigen::MatrixXf, Eigen::Aligned16>;
+
+/** Nested dissection by planes (George 1973): halves of a set of nodes first, then the nodes that part them. */
+class Dissection
+{
+public:
+  Dissection(const AssembledMatrix& pattern, const NodalField& positions)
+      : pattern_(pattern), positions_(positions), side_(pattern.rows(), -1)
+  {
+    std::vector<int> all(pattern.rows());
+    std::iota(all.begin(), all.end(), 0);
+    order_.reserve(all.size());
+    dissect(std::move(all));
+  }
+  std::vector<int> order_;
+
+private:
+  void dissect(std::vector<int> nodes)
+  {
+    constexpr std::size_t LEAF = 24;
+    if (nodes.size() <= LEAF)
+    {
+      order_.insert(order_.end(), nodes.begin(), nodes.end());
+      return;
+    }
+    std::array<std::vector<int>, 3> best;  // two halves and what parts them
+    for (int axis = 0; axis < 3; ++axis)
+    {
+      const auto middle = nodes.begin() + static_cast<std::ptrdiff_t>(nodes.size() / 2);
+      std::nth_element(nodes.begin(), middle, nodes.end(), [&](int a, int b) {
+        return std::pair(positions_[a][axis], a) < std::pair(positions_[b][axis], b);
+      });
+      for (auto i = nodes.begin(); i != nodes.end(); ++i) side_[*i] = i < middle ? 0 : 1;
+      // Of the nodes on either side that touch the other, the fewer.
+      for (int cut = 0; cut < 2; ++cut)
+      {
+        std::array<std::vector<int>, 3> parts;
+        for (const int i : nodes) parts[side_[i] == cut && touches(i, 1 - cut) ? 2 : side_[i]].push_back(i);
+        if (best[2].empty() || parts[2].size() < best[2].size()) best = std::move(parts);
+      }
+    }
+    for (const int i : nodes) side_[i] = -1;
+    if (best[0].empty() || best[1].empty())
+    {
+      order_.insert(order_.end(), nodes.begin(), nodes.end());
+      return;
+    }
+    dissect(std::move(best[0]));
+    dissect(std::move(best[1]));
+    order_.insert(order_.end(), best[2].begin(), best[2].end());
+  }
+
+  bool touches(int node, int side) const
+  {
+    for (int k = pattern_.rowBegin()[node]; k < pattern_.rowBegin()[node + 1]; ++k)
+    {
+      if (side_[pattern_.column()[k]] == side) return true;
+    }
+    return false;
+  }
+
+  const AssembledMatrix& pattern_;
+  const NodalField& positions_;
+  std::vector<int> side_;
+};
+}  // namespace
+
+SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField& positions)
+    : order_(Dissection(pattern, positions).order_), position_(pattern.rows())
+{
+  const int n = pattern.rows();
+  const auto place = [&] {
+    for (int k = 0; k < n; ++k) position_[order_[k]] = k;
+  };
+  place();
+
+  // Elimination tree (Liu 1990), then its postorder, which keeps supernodes together.
+  std::vector<int> parent(n, -1), ancestor(n, -1);
+  for (int i = 0; i < n; ++i)
+  {
+    for (int k = pattern.rowBegin()[order_[i]]; k < pattern.rowBegin()[order_[i] + 1]; ++k)
+    {
+      int j = position_[pattern.column()[k]];
+      while (j != -1 && j < i)
+      {
+        const int next = ancestor[j];
+        ancestor[j] = i;
+        if (next == -1) parent[j] = i;
+        j = next;
+      }
+    }
+  }
+  std::vector<std::vector<int>> children(n + 1);
+  for (int j = 0; j < n; ++j) children[parent[j] < 0 ? n : parent[j]].push_back(j);
+  std::vector<int> postorder;
+  std::vector<std::pair<int, std::size_t>> stack{{n, 0}};
+  while (!stack.empty())
+  {
+    auto& [node, child] = stack.back();
+    if (child < children[node].size())
+    {
+      stack.emplace_back(children[node][child++], 0);
+      continue;
+    }
+    if (node < n) postorder.push_back(node);
+    stack.pop_back();
+  }
+  std::vector<int> renumber(n), moved(n), moved_parent(n);
+  for (int k = 0; k < n; ++k)
+  {
+    renumber[postorder[k]] = k;
+    moved[k] = order_[postorder[k]];
+  }
+  for (int j = 0; j < n; ++j) moved_parent[renumber[j]] = parent[j] < 0 ? -1 : renumber[parent[j]];
+  order_ = std::move(moved);
+  parent = std::move(moved_parent);
+  place();
+
+  // Rows of every column of L below its diagonal.
+  std::vector<std::vector<int>> below(n);
+  std::vector<std::vector<int>> kids(n);
+  std::vector<int> mark(n, -1);
+  for (int j = 0; j < n; ++j)
+  {
+    mark[j] = j;
+    const auto add = [&](int i) {
+      if (i <= j || mark[i] == j) return;
+      mark[i] = j;
+      below[j].push_back(i);
+    };
+    for (int k = pattern.rowBegin()[order_[j]]; k < pattern.rowBegin()[order_[j] + 1]; ++k)
+      add(position_[pattern.column()[k]]);
+    for (const int child : kids[j])
+      for (const int i : below[child]) add(i);
+    std::sort(below[j].begin(), below[j].end());
+    if (parent[j] >= 0) kids[parent[j]].push_back(j);
+  }
+
+  // Supernodes: columns join the next where that adds few zeros.
+  struct Panel
+  {
+    int begin, end;
+    std::vector<int> rows;
+    double zeros;
+    double size() const
+    {
+      const double w = end - begin;
+      return w * (w + 1) / 2 + w * static_cast<double>(rows.size());
+    }
+  };
+  std::vector<Panel> panels;
+  for (int j = 0; j < n; ++j)
+  {
+    panels.push_back({j, j + 1, below[j], 0});
+    while (panels.size() > 1)
+    {
+      Panel& last = panels.back();
+      Panel& before = panels[panels.size() - 2];
+      if (parent[before.end - 1] != last.begin) break;
+      Panel merged{before.begin, last.end, last.rows, 0};
+      merged.zeros = merged.size() - (before.size() - before.zeros) - (last.size() - last.zeros);
+      const int width = merged.end - merged.begin;
+      const double allowed = width <= 4 ? 0.6 : width <= 16 ? 0.2 : 0.05;
+      if (merged.zeros > allowed * merged.size()) break;
+      panels.pop_back();
+      panels.back() = std::move(merged);
+    }
+  }
+  std::size_t values = 0, most_update = 0;
+  int most_rows = 0, widest = 0;
+  for (const Panel& p : panels) widest = std::max(widest, p.end - p.begin);
+  for (const Panel& p : panels)
+  {
+    const int count = static_cast<int>(p.rows.size());
+    supernodes_.push_back({p.begin, p.end, static_cast<int>(rows_.size()), count, values});
+    rows_.insert(rows_.end(), p.rows.begin(), p.rows.end());
+    const std::size_t height = 3 * static_cast<std::size_t>(p.end - p.begin + count);
+    values += (height * 3 * (p.end - p.begin) + 15) / 16 * 16;
+    most_rows = std::max(most_rows, p.end - p.begin + count);
+    most_update = std::max(most_update, 9 * static_cast<std::size_t>(count) * std::min(count, widest));
+    supernode_of_.insert(supernode_of_.end(), p.end - p.begin, static_cast<int>(supernodes_.size()) - 1);
+  }
+  update_.resize(most_update);
+  local_.resize(n);
+  for (std::vector<int>* list : {&head_, &next_, &done_}) list->resize(supernodes_.size());
+  values_.resize(values);
+  work_.resize(3 * static_cast<std::size_t>(n) + 16);
+  gathered_.resize(3 * static_cast<std::size_t>(most_rows) + 16);
+}
+
+bool SparseCholesky::factor(const AssembledMatrix& matrix)
+{
+  std::fill(values_.begin(), values_.end(), 0.0f);
+  std::fill(head_.begin(), head_.end(), -1);
+  std::fill(done_.begin(), done_.end(), 0);
+  for (std::size_t s = 0; s < supernodes_.size(); ++s)
+  {
+    const Supernode& node = supernodes_[s];
+    const int width = node.end - node.begin, height = width + node.rows_count;
+    FloatPanel panel(values_.data() + node.values, 3L * height, 3L * width);
+    for (int j = 0; j < width; ++j) local_[node.begin + j] = j;
+    for (int k = 0; k < node.rows_count; ++k) local_[rows_[node.rows_begin + k]] = width + k;
+    for (int j = 0; j < width; ++j)
+    {
+      const int old = order_[node.begin + j];
+      for (int k = matrix.rowBegin()[old]; k < matrix.rowBegin()[old + 1]; ++k)
+      {
+        const int i = position_[matrix.column()[k]];
+        if (i < node.begin + j) continue;
+        // Stored by columns as (old, column[k]): its transpose is (i, j).
+        const Eigen::Map<const Eigen::Matrix3d> block(matrix.blocks().data() + 9L * k);
+        panel.block<3, 3>(3L * local_[i], 3L * j) = block.transpose().cast<float>();
+      }
+    }
+    // Updates by all supernodes that have rows among these columns.
+    for (int k = head_[s]; k >= 0;)
+    {
+      const Supernode& from = supernodes_[k];
+      const int following = next_[k], w = from.end - from.begin, first = done_[k];
+      int last = first;
+      while (last < from.rows_count && rows_[from.rows_begin + last] < node.end) ++last;
+      const FloatPanel source(values_.data() + from.values, 3L * (w + from.rows_count), 3L * w);
+      const Eigen::Index rows = 3L * (from.rows_count - first), columns = 3L * (last - first);
+      FloatPanel update(update_.data(), rows, columns);
+      update.noalias() = source.bottomRows(rows) * source.middleRows(3L * (w + first), columns).transpose();
+      for (int c = first; c < last; ++c)
+      {
+        const int column = local_[rows_[from.rows_begin + c]];
+        for (int r = c; r < from.rows_count; ++r)
+        {
+          panel.block<3, 3>(3L * local_[rows_[from.rows_begin + r]], 3L * column) -=
+              update.block<3, 3>(3L * (r - first), 3L * (c - first));
+        }
+      }
+      done_[k] = last;
+      if (last < from.rows_count)
+      {
+        const int target = supernode_of_[rows_[from.rows_begin + last]];
+        next_[k] = head_[target];
+        head_[target] = k;
+      }
+      k = following;
+    }
+    auto diagonal = panel.topRows(3L * width);
+    const Eigen::LLT<Eigen::Ref<Eigen::MatrixXf>> llt(diagonal);
+    if (llt.info() != Eigen::Success) return false;
+    auto lower = panel.bottomRows(3L * node.rows_count);
+    llt.matrixL().transpose().solveInPlace<Eigen::OnTheRight>(lower);
+    if (node.rows_count > 0)
+    {
+      const int target = supernode_of_[rows_[node.rows_begin]];
+      next_[s] = head_[target];
+      head_[target] = static_cast<int>(s);
+    }
+  }
+  return true;
+}
+
+void SparseCholesky::solve(const float* b, float* x)
+{
+  const int n = static_cast<int>(order_.size());
+  for (int k = 0; k < n; ++k)
+  {
+    for (int axis = 0; axis < 3; ++axis) work_[3L * k + axis] = b[4L * order_[k] + axis];
+  }
+  for (const Supernode& node : supernodes_)
+  {
+    const int width = node.end - node.begin;
+    const FloatPanel panel(values_.data() + node.values, 3L * (width + node.rows_count), 3L * width);
+    Eigen::Map<Eigen::VectorXf> own(work_.data() + 3L * node.begin, 3L * width);
+    panel.topRows(3L * width).triangularView<Eigen::Lower>().solveInPlace(own);
+    Eigen::Map<Eigen::VectorXf> below(gathered_.data(), 3L * node.rows_count);
+    below.noalias() = panel.bottomRows(3L * node.rows_count) * own;
+    for (int k = 0; k < node.rows_count; ++k)
+    {
+      float* to = work_.data() + 3L * rows_[node.rows_begin + k];
+      for (int axis = 0; axis < 3; ++axis) to[axis] -= gathered_[3L * k + axis];
+    }
+  }
+  for (auto s = supernodes_.rbegin(); s != supernodes_.rend(); ++s)
+  {
+    const Supernode& node = *s;
+    const int width = node.end - node.begin;
+    const FloatPanel panel(values_.data() + node.values, 3L * (width + node.rows_count), 3L * width);
+    Eigen::Map<Eigen::VectorXf> own(work_.data() + 3L * node.begin, 3L * width);
+    Eigen::Map<Eigen::VectorXf> below(gathered_.data(), 3L * node.rows_count);
+    for (int k = 0; k < node.rows_count; ++k)
+    {
+      const float* from = work_.data() + 3L * rows_[node.rows_begin + k];
+      for (int axis = 0; axis < 3; ++axis) gathered_[3L * k + axis] = from[axis];
+    }
+    own.noalias() -= panel.bottomRows(3L * node.rows_count).transpose() * below;
+    panel.topRows(3L * width).triangularView<Eigen::Lower>().transpose().solveInPlace(own);
+  }
+  for (int k = 0; k < n; ++k)
+  {
+    for (int axis = 0; axis < 3; ++axis) x[4L * order_[k] + axis] = work_[3L * k + axis];
+    x[4L * order_[k] + 3] = 0;
+  }
+}
+
+}  // namespace bezier_fem

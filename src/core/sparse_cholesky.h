@@ -1,0 +1,48 @@
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "bezier_fem/assembled_matrix.h"
+#include "bezier_fem/nodal_field.h"
+
+namespace bezier_fem
+{
+/**
+ * A = L L^T of a symmetric positive definite matrix of 3x3 blocks, in single precision: made to precondition. Nodes are
+ * put in order by nested dissection of their positions; columns of like structure are kept as dense panels
+ * (supernodes; Ng and Peyton 1993, "Block sparse Cholesky algorithms on advanced uniprocessor computers").
+ */
+class SparseCholesky
+{
+public:
+  /** @param positions  of the nodes; only their neighbourhood matters */
+  SparseCholesky(const AssembledMatrix& pattern, const NodalField& positions);
+
+  /**
+   * @param matrix  of that pattern
+   * @return        false if it is not positive definite, as far as single precision can tell
+   */
+  bool factor(const AssembledMatrix& matrix);
+
+  /** x = A^-1 b; 4 floats a row: x, y, z and one that is not looked at. */
+  void solve(const float* b, float* x);
+
+private:
+  struct Supernode
+  {
+    int begin, end;  // columns, in the order of elimination
+    int rows_begin;  // of rows_: rows below the diagonal block
+    int rows_count;
+    std::size_t values;  // of values_: column-major, 3 (end - begin + rows_count) rows, 3 (end - begin) columns
+  };
+  std::vector<int> order_;     // new -> old
+  std::vector<int> position_;  // old -> new
+  std::vector<Supernode> supernodes_;
+  std::vector<int> rows_;
+  AlignedVector<float> values_;
+  AlignedVector<float> work_, gathered_, update_;               // scratch
+  std::vector<int> local_, head_, next_, done_, supernode_of_;  // scratch, but for the last
+};
+
+}  // namespace bezier_fem

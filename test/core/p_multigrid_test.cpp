@@ -1,0 +1,180 @@
+#include "bezier_fem/p_multigrid.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Dense>
+
+#include "bezier_fem/conjugate_gradient.h"
+#include "bezier_fem/step.h"
+#include "core/bar.h"
+#include "sparse_cholesky.h"
+
+namespace bezier_fem
+{
+namespace
+{
+using Eigen::Vector3d;
+
+constexpr Material STIFF{2e6, 0.45, 500};
+
+struct Case
+{
+  const char* name;
+  Element element;
+  RotationRule rule;
+};
+
+class Multigrid : public testing::TestWithParam<Case>
+{
+protected:
+  Model model = test::boxModel(test::irregularBox({4, 4, 8}, {0.4, 0.4, 1.0}), GetParam().element, STIFF);
+  Partition partition{model, 1};
+  Rotations rotations = bent();
+  std::vector<std::uint8_t> held = foot();
+  ConjugateGradient solver{model, partition};
+  PMultigrid multigrid{model, partition};
+
+  /** Turned by up to 1.5 rad along the bar. */
+  Rotations bent() const
+  {
+    NodalField x = model.rest;
+    for (int i = 0; i < model.num_nodes; ++i)
+    {
+      const Vector3d X = model.rest[i];
+      x[i] = Eigen::AngleAxisd(1.5 * X.z(), Vector3d(1, 0.5, 0.2).normalized()) * X;
+    }
+    Rotations result = restRotations(model, GetParam().rule);
+    const Rotations before = result;
+    AlignedVector<double> turned(result.flags.size());
+    updateRotations(model, partition, x, before, result, turned);
+    return result;
+  }
+  /** The foot is held, and one component along an edge of it. */
+  std::vector<std::uint8_t> foot() const
+  {
+    std::vector<std::uint8_t> axes(model.num_nodes, 0);
+    for (int i = 0; i < model.num_nodes; ++i)
+    {
+      if (model.rest[i].x() < 1e-9 && model.rest[i].z() < 0.3) axes[i] = 2;
+      if (model.rest[i].z() < 1e-9) axes[i] = 7;
+    }
+    return axes;
+  }
+  void clearHeld(NodalField& f) const
+  {
+    for (int i = 0; i < model.num_nodes; ++i)
+    {
+      for (int axis = 0; axis < 3; ++axis)
+      {
+        if (held[i] >> axis & 1) f[i][axis] = 0;
+      }
+    }
+  }
+};
+INSTANTIATE_TEST_SUITE_P(Elements, Multigrid,
+                         testing::Values(Case{"linear", Element::LINEAR, RotationRule::FROM_CORNERS},
+                                         Case{"quadratic", Element::QUADRATIC, RotationRule::FROM_CORNERS},
+                                         Case{"quadratic_four", Element::QUADRATIC, RotationRule::FOUR_POINTS}),
+                         [](const auto& p) { return std::string(p.param.name); });
+
+TEST_P(Multigrid, IsSymmetricAndPositive)
+{
+  const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
+  ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
+  ASSERT_TRUE(multigrid.prepare(system, model, rotations, held, 1, 4e-4, solver.inverse()));
+  for (unsigned seed = 0; seed < 5; ++seed)
+  {
+    NodalField a = test::randomField(model.num_nodes, seed), b = test::randomField(model.num_nodes, seed + 100);
+    NodalField za(model.num_nodes), zb(model.num_nodes);
+    multigrid.apply(partition, a, za);
+    multigrid.apply(partition, b, zb);
+    NodalField masked = za;
+    clearHeld(masked);
+    EXPECT_EQ((masked.matrix() - za.matrix()).norm(), 0);  // held components stay
+    const double ab = a.matrix().cwiseProduct(zb.matrix()).sum(), ba = b.matrix().cwiseProduct(za.matrix()).sum();
+    const double scale =
+        std::sqrt(a.matrix().cwiseProduct(za.matrix()).sum() * b.matrix().cwiseProduct(zb.matrix()).sum());
+    EXPECT_GT(scale, 0);
+    EXPECT_NEAR(ab, ba, 1e-5 * scale);  // the linear elements' system is in single precision
+  }
+}
+
+TEST_P(Multigrid, SolvesTheSameInFarFewerIterations)
+{
+  NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes), expected(model.num_nodes);
+  for (const auto& [alpha, beta] : {std::pair{1.0, 4e-4}, {1.0, 1e-2}, {0.0, 1.0}})
+  {
+    const MatrixFreeSystem<Rotations> system(model, partition, rotations, alpha, beta);
+    ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
+    expected.setZero();
+    const SolveReport plain = solver.solve(system, partition, b, expected, 1e-10, 10000);
+    ASSERT_TRUE(plain.converged);
+    ASSERT_TRUE(multigrid.prepare(system, model, rotations, held, alpha, beta, solver.inverse()));
+    u.setZero();
+    const SolveReport report = solver.solve(system, partition, b, u, 1e-10, 10000, &multigrid);
+    EXPECT_TRUE(report.converged);
+    EXPECT_LE(report.residual, 1e-10);
+    EXPECT_LT((u.matrix() - expected.matrix()).norm(), 1e-7 * expected.matrix().norm());
+    EXPECT_LT(4 * report.iterations, plain.iterations);
+  }
+}
+
+TEST_P(Multigrid, FollowsANewMaterial)
+{
+  const MatrixFreeSystem<Rotations> system(model, partition, rotations, 0, 1);
+  NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes);
+  const auto iterations = [&] {
+    EXPECT_TRUE(solver.prepare(system, model, partition, held, 0));
+    EXPECT_TRUE(multigrid.prepare(system, model, rotations, held, 0, 1, solver.inverse()));
+    u.setZero();
+    return solver.solve(system, partition, b, u, 1e-8, 10000, &multigrid).iterations;
+  };
+  const int before = iterations();
+  std::vector<Material> materials(model.num_tets, STIFF);
+  for (std::size_t k = 0; k < materials.size() / 2; ++k) materials[k].young = 2e4;
+  setMaterials(model, materials);
+  const int stale = iterations();
+  multigrid.forget();
+  const int after = iterations();
+  EXPECT_LT(after, stale);
+  EXPECT_LT(after, 3 * before);
+}
+
+TEST(SparseCholesky, SolvesLikeADenseFactor)
+{
+  const Model model = test::boxModel(test::irregularBox({3, 3, 5}, {0.4, 0.4, 1.0}), Element::LINEAR, STIFF);
+  const Partition partition(model, 1);
+  AssembledMatrix matrix(model);
+  FusedAssembler(model, matrix).assemble(model, partition, restRotations(model), 1, 4e-4, matrix);
+  SparseCholesky cholesky(matrix, model.rest);
+  ASSERT_TRUE(cholesky.factor(matrix));
+  const int n = model.num_nodes;
+  Eigen::MatrixXd dense = Eigen::MatrixXd::Zero(3L * n, 3L * n);
+  for (int i = 0; i < n; ++i)
+  {
+    for (int k = matrix.rowBegin()[i]; k < matrix.rowBegin()[i + 1]; ++k)
+    {
+      dense.block<3, 3>(3L * i, 3L * matrix.column()[k]) =
+          Eigen::Map<const Eigen::Matrix3d>(matrix.blocks().data() + 9L * k);
+    }
+  }
+  const NodalField b = test::randomField(n, 4);
+  AlignedVector<float> right(4 * static_cast<std::size_t>(n)), left(right.size());
+  for (int i = 0; i < 4 * n; ++i) right[i] = static_cast<float>(b.data()[i]);
+  cholesky.solve(right.data(), left.data());
+  Eigen::VectorXd flat(3L * n), solved(3L * n);
+  for (int i = 0; i < 3 * n; ++i)
+  {
+    flat[i] = b[i / 3][i % 3];
+    solved[i] = left[4 * (i / 3) + i % 3];
+  }
+  const Eigen::VectorXd expected = dense.llt().solve(flat);
+  EXPECT_LT((solved - expected).norm(), 1e-4 * expected.norm());
+
+  // Not positive definite: said, not solved.
+  FusedAssembler(model, matrix).assemble(model, partition, restRotations(model), -1, 4e-4, matrix);
+  EXPECT_FALSE(cholesky.factor(matrix));
+}
+
+}  // namespace
+}  // namespace bezier_fem
