@@ -72,8 +72,8 @@ struct Workspace
 
   ~Workspace();
 
-  /** To be called when the state was not made by the last step. */
-  void forgetHistory() { history = 0; }
+  /** To be called when the state was not made by the last step: the same steps from it are then the same to the bit. */
+  void forgetHistory();
   /** To be called after setMaterials(). */
   void forgetMaterials();
 

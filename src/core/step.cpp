@@ -165,6 +165,13 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
 
 Workspace::~Workspace() = default;
 
+void Workspace::forgetHistory()
+{
+  history = 0;
+  multigrid.reset();
+  multigrid_failed = false;
+}
+
 void Workspace::forgetMaterials()
 {
   bound.reset();
