@@ -25,7 +25,7 @@ public:
     order_.reserve(all.size());
     dissect(std::move(all));
   }
-  std::vector<int> order_;
+  const std::vector<int>& order() const { return order_; }
 
 private:
   void dissect(std::vector<int> nodes)
@@ -75,11 +75,12 @@ private:
   const AssembledMatrix& pattern_;
   const NodalField& positions_;
   std::vector<int> side_;
+  std::vector<int> order_;
 };
 }  // namespace
 
 SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField& positions)
-    : order_(Dissection(pattern, positions).order_), position_(pattern.rows())
+    : order_(Dissection(pattern, positions).order()), position_(pattern.rows())
 {
   const int n = pattern.rows();
   const auto place = [&] {
