@@ -148,6 +148,9 @@ Table spin()
                                       {"implicit_euler", implicitEulerStep, 0.01},
                                       {"implicit_euler", implicitEulerStep, 0.005},
                                       {"implicit_euler", implicitEulerStep, 0.001},
+                                      {"sdirk2", sdirk2Step, 0.02},
+                                      {"sdirk2", sdirk2Step, 0.01},
+                                      {"sdirk2", sdirk2Step, 0.005},
                                       {"explicit", explicitStep, 0.0005}};
   Table table = Table::array();
   for (const Motion& motion : motions)

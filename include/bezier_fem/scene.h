@@ -36,6 +36,8 @@ enum class RotationRule
 enum class Integrator
 {
   IMPLICIT_EULER,
+  SDIRK2,  // of second order, implicit (Alexander 1977)
+  AUTO,    // SDIRK2, or implicit Euler in steps that the former does not get through
   EXPLICIT,
   STATIC
 };

@@ -54,14 +54,15 @@ struct StageTimes
 
 struct StepReport
 {
-  int substeps = 1;        // 1: exactly one lagged step
-  double turn = 0;         // rad: the largest angle that an element turned by in an accepted (sub-)step
-  int inverted = 0;        // elements that end with det F <= 0: where a rotation is taken, or at a corner (green)
-  int iterations = 0;      // of the linear solver, in all
-  double residual = 0;     // worst (sub-)step, relative, as the tolerance measures it
-  bool converged = true;   // every residual within the tolerance
-  bool finite = true;      // false: the state is lost
-  bool multigrid = false;  // whether a system was solved with p-multigrid, not with the diagonal blocks alone
+  int substeps = 1;           // 1: exactly one lagged step
+  double turn = 0;            // rad: the largest angle that an element turned by in an accepted (sub-)step
+  int inverted = 0;           // elements that end with det F <= 0: where a rotation is taken, or at a corner (green)
+  int iterations = 0;         // of the linear solver, in all
+  double residual = 0;        // worst (sub-)step, relative, as the tolerance measures it
+  bool converged = true;      // every residual within the tolerance
+  bool finite = true;         // false: the state is lost
+  bool second_order = false;  // done by SDIRK2
+  bool multigrid = false;     // whether a system was solved with p-multigrid, not with the diagonal blocks alone
   StageTimes ms;
 };
 
@@ -81,10 +82,11 @@ struct Workspace
   ConjugateGradient solver;
   NodalField balance;  // force (N) of the supports on each control point in the last step; meaningful where held
 
-  NodalField load, force, rhs, led, change, last_change, last_but_one_change, x_before, v_before;
-  Rotations candidate;
+  NodalField load, force, rhs, led, change, last_change, last_but_one_change, x_before, v_before, predicted;
+  Rotations candidate, stage_rotations;
   AlignedVector<double> turned;
-  int history = 0;                             // how many of last_change, last_but_one_change hold
+  int history = 0;                             // how many steps before now last_change and last_but_one_change tell of
+  bool history_is_of_stages = false;           // of sdirk2Step(): they are the changes of v in its stages
   std::unique_ptr<PMultigrid> multigrid;       // since it was first wanted
   bool multigrid_failed = false;               // not to be tried again
   std::unique_ptr<AssembledSystem> assembled;  // where the settings ask for a matrix
@@ -117,6 +119,30 @@ constexpr int MAX_SUBSTEPS = 32;
 StepReport implicitEulerStep(const Model& model, const StepSettings& settings, const Supports& supports,
                              const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
                              Workspace& workspace);
+
+/**
+ * One step of the singly diagonally implicit Runge-Kutta method of two stages and second order (Alexander 1977). Each
+ * stage is an implicit Euler step as above of g dt, g = 1 - sqrt(1/2): the first from x and v, the second from where
+ * the first one's derivatives lead in (1 - g) dt; where the second ends, the step does. L-stable. The rotations of a
+ * stage are those of the positions predicted for its end, with no acceleration in the first stage and the first one's
+ * in the second: off by O(dt^2), and the force, of which K' is the derivative but for terms of the strain, by less.
+ *
+ * Cut into sub-steps where a rotation was off by more than MAX_TURN; StepReport::turn is then the largest turn between
+ * the start, the two predictions and the end. Follower loads (pressure) are those of the predicted positions.
+ */
+StepReport sdirk2Step(const Model& model, const StepSettings& settings, const Supports& supports,
+                      const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                      Workspace& workspace);
+
+/**
+ * sdirk2Step(), or where that is of no use implicitEulerStep(): in a step that begins with an inverted element, or
+ * that sdirk2Step() would end with one, with a rotation off by more than MAX_TURN, or with an unsolved system. The
+ * former's second stage starts from an extrapolation, which throws what is inside out farther out; the latter's damping
+ * brings it back.
+ */
+StepReport automaticStep(const Model& model, const StepSettings& settings, const Supports& supports,
+                         const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                         Workspace& workspace);
 
 /** An explicit step is cut into at most so many sub-steps. */
 constexpr int MAX_EXPLICIT_SUBSTEPS = 1000;

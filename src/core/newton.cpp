@@ -17,6 +17,7 @@ NewtonMemory::NewtonMemory(const Model& model, const Partition& partition)
       gradient(model.num_nodes),
       first(model.num_nodes),
       bend(partition.rows()),
+      start(model.num_nodes),
       x(model.num_nodes)
 {
 }
@@ -135,83 +136,70 @@ bool GreenNewton::search(const NodalField& direction, int trials)
   return false;
 }
 
-StepReport newtonStep(const Model& model, const StepSettings& settings, const Supports& supports,
-                      const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w)
+void newtonStage(const Model& model, const StepSettings& settings, const Supports& supports, const Stage& stage,
+                 State& state, Workspace& w, StepReport& report)
 {
   constexpr int MAX_ROUNDS = 100;
-  StepReport report;
-  Stopwatch total, watch;
+  Stopwatch watch;
   if (!w.newton) w.newton = std::make_unique<NewtonMemory>(model, w.partition);
   NewtonMemory& m = *w.newton;
-  const double h = settings.time_step, damp_m = settings.damping.mass, damp_k = settings.damping.stiffness;
+  const double h = stage.length, damp_m = settings.damping.mass, damp_k = settings.damping.stiffness;
   const int max_iterations = std::max(1, settings.solver.max_iterations);
 
   // The sum's gradient is the momentum that is out of balance,
-  //     M (v - v_0) + h (f_el(x_0 + h v) + D v - f_ext),   D = a M + b K_0 held during the step.
+  //     M (v - v_0) + h (f_el(x_0 + h v) + D v - f_ext),   D = a M + b K_0 held during the stage.
   if (damp_k > 0) linearise(model, w.partition, state.x, Projection::POSITIVE_STRESS, m.damping);
-  w.x_before.matrix() = state.x.matrix();
-  w.v_before.matrix() = state.v.matrix();
-  externalForce(model, settings, loads, external, state.time + h / 2, state.x, w.load);
-  // Held and led components start, and stay, where they have to be at the end of the step.
-  w.led.matrix() = state.x.matrix() + h * state.v.matrix();
-  state.x.matrix() = w.led.matrix();
-  applySupports(supports, state.time + h, 1, state.x);
-  state.v.matrix() += (state.x.matrix() - w.led.matrix()) / h;
+  systemProduct(model, w.partition, state.rotations, 1, 0, state.v, w.force);
+  m.quadratic.matrix() = -h * w.load.matrix() - nodes(w.force, model);
+  m.start.matrix() = state.v.matrix();
+  state.x.matrix() += h * state.v.matrix();
+  // Held and led components start, and stay, where they have to be at the end of the stage.
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    for (int axis = 0; axis < 3; ++axis)
+    {
+      if (!(supports.held[i] >> axis & 1)) continue;
+      state.v[i][axis] += (w.led[i][axis] - state.x[i][axis]) / h;
+      state.x[i][axis] = w.led[i][axis];
+    }
+  }
 
   GreenNewton newton(model, supports, state.rotations, h, 1 + h * damp_m, h * damp_k, 1e-3 * h, state.x, state.v, w);
   newton.quadraticProduct(state.v, w.force);
-  m.quadratic.matrix() = nodes(w.force, model) - h * w.load.matrix();
-  systemProduct(model, w.partition, state.rotations, 1, 0, w.v_before, w.force);
-  m.quadratic.matrix() -= nodes(w.force, model);
+  m.quadratic.matrix() += nodes(w.force, model);
   newton.start();
-  if (w.history == 2)
-  {
-    w.change.matrix() = 2 * w.last_change.matrix() - w.last_but_one_change.matrix();
-    newton.tryDirection(w.change);
-  }
+  if (stage.start_known) newton.tryDirection(w.change);
   watch.lap(report.ms.force);
 
-  double before = 0;
+  double now = 0, before = 0;
   for (int round = 0;; ++round)
   {
     newton.linearise(Projection::NONE);
     watch.lap(report.ms.assembly);
     const auto residual = [&] { return w.solver.relativeNorm(w.partition, m.gradient, m.first); };
-    if (round == 0) report.residual = residual();
-    report.converged = report.residual <= settings.solver.tolerance;
-    report.finite = std::isfinite(report.residual);
-    if (report.converged || !report.finite || round == MAX_ROUNDS) break;
+    if (round == 0) now = residual();
+    report.finite = std::isfinite(now);
+    if (now <= settings.solver.tolerance || !report.finite || round == MAX_ROUNDS) break;
 
     // Eisenstat and Walker 1996, choice 2; no more than is needed to end a little below the tolerance.
-    double forcing = round == 0 ? 0.03 : 0.9 * std::pow(report.residual / before, 2);
-    forcing = std::clamp(forcing, 0.3 * settings.solver.tolerance / report.residual, 0.1);
-    before = report.residual;
+    double forcing = round == 0 ? 0.03 : 0.9 * std::pow(now / before, 2);
+    forcing = std::clamp(forcing, 0.3 * settings.solver.tolerance / now, 0.1);
+    before = now;
     if (!newton.iterate(forcing, max_iterations, report)) break;
-    report.residual = residual();
+    now = residual();
     watch.lap(report.ms.solve);
-    if (report.residual <= settings.solver.tolerance)
-    {
-      report.converged = true;
-      break;
-    }
+    if (now <= settings.solver.tolerance) break;
   }
+  report.residual = std::max(report.residual, now);
+  report.converged = report.converged && now <= settings.solver.tolerance;
   w.balance.matrix() = m.gradient.matrix() / h;
-  report.inverted = invertedElements(model, state.x);
-
-  std::swap(w.last_change, w.last_but_one_change);
-  w.last_change.matrix() = state.v.matrix() - w.v_before.matrix();
   for (int i = 0; i < model.num_nodes; ++i)
   {
     for (int axis = 0; axis < 3; ++axis)
     {
-      if (supports.held[i] >> axis & 1) w.last_change[i][axis] = 0;
+      w.change[i][axis] = supports.held[i] >> axis & 1 ? 0 : state.v[i][axis] - m.start[i][axis];
     }
   }
-  w.history = std::min(w.history + 1, 2);
-  ++state.steps;
-  state.time = h * static_cast<double>(state.steps);
-  total.lap(report.ms.total);
-  return report;
 }
 
 }  // namespace bezier_fem

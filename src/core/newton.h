@@ -17,6 +17,7 @@ struct NewtonMemory
   NodalField gradient;   // of the sum
   NodalField first;      // the same where the residual is measured from
   NodalField bend;       // how `quadratic` changes along a direction; partition.rows() rows
+  NodalField start;      // v that a stage starts from
   NodalField x;          // positions that a line search starts from
 };
 
@@ -67,9 +68,19 @@ private:
   bool projected_ = false;
 };
 
-/** implicitEulerStep() of Green's strain. */
-StepReport newtonStep(const Model& model, const StepSettings& settings, const Supports& supports,
-                      const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
-                      Workspace& workspace);
+/** An implicit Euler step from the x and v of a state, alone or as a part of a longer step. */
+struct Stage
+{
+  double length;     // s
+  bool start_known;  // workspace.change has a change of v to start the solver from
+  bool lasting;      // more of this length will follow, so that what is factored for it will serve again
+};
+
+/**
+ * The stage of Green's strain, under the force workspace.load and to the positions workspace.led where held: sets x and
+ * v, and workspace.change to the change of v where free.
+ */
+void newtonStage(const Model& model, const StepSettings& settings, const Supports& supports, const Stage& stage,
+                 State& state, Workspace& workspace, StepReport& report);
 
 }  // namespace bezier_fem

@@ -532,6 +532,8 @@ Scene readScene(const YamlNode& root, const Origin& origin)
   map.get("time_step", scene.time_step, readNumber, POSITIVE);
   map.get("integrator", scene.integrator, [](const Value& value) {
     return readChoice<Integrator>(value, {{"implicit_euler", Integrator::IMPLICIT_EULER},
+                                          {"sdirk2", Integrator::SDIRK2},
+                                          {"auto", Integrator::AUTO},
                                           {"explicit", Integrator::EXPLICIT},
                                           {"static", Integrator::STATIC}});
   });

@@ -390,7 +390,10 @@ std::vector<Material> Simulation::materials(const Material& base) const
 
 StepReport Simulation::step()
 {
-  const auto integrate = scene_.integrator == Integrator::EXPLICIT ? explicitStep : implicitEulerStep;
+  const auto integrate = scene_.integrator == Integrator::EXPLICIT ? explicitStep
+                         : scene_.integrator == Integrator::SDIRK2 ? sdirk2Step
+                         : scene_.integrator == Integrator::AUTO   ? automaticStep
+                                                                   : implicitEulerStep;
   const StepReport report = integrate(model_, settings_, supports_, loads_, external_forces_, state_, *workspace_);
   for (HeldRegion& region : supports_.regions) region.begin = region.end;
   return report;

@@ -5,6 +5,7 @@
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/green_strain.h"
+#include "bezier_fem/measures.h"
 #include "bezier_fem/p_multigrid.h"
 #include "bezier_fem/stable_step.h"
 #include "forces.h"
@@ -16,63 +17,247 @@ namespace bezier_fem
 {
 namespace
 {
-/** One lagged step of length h; updates x and v, not the rotations. */
-void laggedStep(const Model& model, const StepSettings& settings, const Supports& supports,
-                const std::vector<AppliedLoad>& loads, const NodalField& external, double step_begin, double h,
-                State& state, Workspace& w, StepReport& report)
+/** 1 - sqrt(1/2), the root of Alexander 1977 with the small error. */
+constexpr double GAMMA = 0.29289321881345248;
+
+/** One body's implicit step: what its parts share. */
+class ImplicitStep
 {
-  Stopwatch watch;
-  const double damp_m = settings.damping.mass, damp_k = settings.damping.stiffness;
-
-  // f_el(x) + (h + b) K' v = f_el(x + (h + b) v), because f_el is affine while the rotations are held.
-  externalForce(model, settings, loads, external, state.time + h / 2, state.x, w.load);
-  w.change.matrix() = state.x.matrix() + (h + damp_k) * state.v.matrix();
-  elasticForce(model, w.partition, state.rotations, w.change, w.force);
-  w.rhs.matrix() = h * (w.load.matrix() - nodes(w.force, model));
-  if (damp_m > 0)
+public:
+  ImplicitStep(const Model& model, const StepSettings& settings, const Supports& supports,
+               const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& workspace)
+      : model_(model),
+        settings_(settings),
+        supports_(supports),
+        loads_(loads),
+        external_(external),
+        state_(state),
+        w_(workspace),
+        begin_(state.time)
   {
-    systemProduct(model, w.partition, state.rotations, h * damp_m, 0, state.v, w.force);
-    w.rhs.matrix() -= nodes(w.force, model);
-  }
-  watch.lap(report.ms.force);
-
-  const double alpha = 1 + h * damp_m, beta = h * (h + damp_k);
-  const MatrixFreeSystem<Rotations> matrix_free(model, w.partition, state.rotations, alpha, beta);
-  const SystemOperator& system = systemOf(matrix_free, state.rotations, alpha, beta, w);
-  w.solver.prepare(system, model, w.partition, supports.held, 1e-3 * h);
-  watch.lap(report.ms.assembly);
-
-  // Led components: the dv that takes them to where they have to be.
-  w.led.matrix() = state.x.matrix() + h * state.v.matrix();
-  w.change.matrix() = w.led.matrix();
-  applySupports(supports, state.time + h, (state.time + h - step_begin) / settings.time_step, w.led);
-  w.led.matrix() -= w.change.matrix();
-  w.led.matrix() /= h;
-  const bool led = !(w.led.matrix().array() == 0).all();
-  if (led)
-  {
-    system.product(w.led, w.force);
-    w.rhs.matrix() -= nodes(w.force, model);
   }
 
-  if (w.history == 2 && h == settings.time_step)
+  enum class Method
   {
-    w.change.matrix() = 2 * w.last_change.matrix() - w.last_but_one_change.matrix();
-  }
-  else
-  {
-    w.change.setZero();
-  }
-  solveLinear(model, settings, supports, state.rotations, system, alpha, beta, settings.solver.tolerance,
-              std::max(1, settings.solver.max_iterations), h == settings.time_step, w, report);
-  w.balance.matrix() = nodes(w.solver.residual(), model) / -h;
+    EULER,
+    SDIRK2,
+    AUTO
+  };
 
-  state.v.matrix() += w.change.matrix();
-  if (led) state.v.matrix() += w.led.matrix();
-  state.x.matrix() += h * state.v.matrix();
-  report.finite = state.x.matrix().allFinite();
-  watch.lap(report.ms.solve);
-}
+  /** The whole step. */
+  StepReport run(Method method)
+  {
+    StepReport report;
+    report.substeps = 0;
+    if (corotated()) report.inverted = state_.rotations.inverted(model_.num_tets);
+    report.second_order = method == Method::SDIRK2 || (method == Method::AUTO && report.inverted == 0);
+    Stopwatch total;
+    const double end = settings_.time_step * static_cast<double>(state_.steps + 1);
+    const double shortest = settings_.time_step / MAX_SUBSTEPS;
+    double h = settings_.time_step;
+    while (report.finite && (report.substeps == 0 || end - state_.time > 0.5 * shortest))
+    {
+      h = std::min(h, end - state_.time);
+      if (w_.history_is_of_stages != report.second_order) w_.history = 0;
+      w_.history_is_of_stages = report.second_order;
+      w_.x_before.matrix() = state_.x.matrix();
+      w_.v_before.matrix() = state_.v.matrix();
+      StepReport attempt = report;
+      const double lag = report.second_order ? sdirk2(h, attempt) : euler(h, attempt);
+      const auto takeBack = [&] {
+        state_.x.matrix() = w_.x_before.matrix();
+        state_.v.matrix() = w_.v_before.matrix();
+        report.iterations = attempt.iterations;
+        report.ms = attempt.ms;
+      };
+      if (method == Method::AUTO && report.second_order &&
+          !(lag <= MAX_TURN && attempt.inverted == 0 && attempt.finite && attempt.converged))
+      {
+        takeBack();
+        report.second_order = false;
+        continue;
+      }
+      // Not while an element is inverted: such a body recovers best with the long step's damping, and its motion is of
+      // no interest.
+      const bool recovering = report.inverted > 0;
+      if (lag > MAX_TURN && !recovering && h > 1.001 * shortest)
+      {
+        takeBack();
+        // A lagged step turns an element that spins at w by atan(w h).
+        const double pieces = std::ceil(std::tan(std::min(lag, 1.5)) / MAX_TURN);
+        h = std::max(h / std::max(pieces, 2.0), shortest);
+        continue;
+      }
+      if (corotated() && attempt.finite) std::swap(state_.rotations, w_.candidate);
+      report = attempt;
+      ++report.substeps;
+      state_.time += h;
+    }
+    ++state_.steps;
+    state_.time = settings_.time_step * static_cast<double>(state_.steps);
+    if (settings_.elasticity == Elasticity::GREEN) report.inverted = invertedElements(model_, state_.x);
+    w_.history = report.substeps == 1 ? std::min(w_.history + 1, 2) : 0;
+    total.lap(report.ms.total);
+    return report;
+  }
+
+private:
+  bool corotated() const { return settings_.elasticity == Elasticity::COROTATED; }
+
+  /** Linearised implicit Euler. Returns how far (rad) the rotations that it used were behind those that it led to. */
+  double euler(double h, StepReport& report)
+  {
+    takeLoads(state_.time + h / 2, state_.x, report);
+    leadTo(h);
+    const bool known = w_.history == 2 && h == settings_.time_step;
+    if (known) w_.change.matrix() = 2 * w_.last_change.matrix() - w_.last_but_one_change.matrix();
+    solveStage({h, known, h == settings_.time_step}, state_.rotations, report);
+    remember();
+    return turn(state_.x, state_.rotations, w_.candidate, report);
+  }
+
+  /** Two stages of length GAMMA h, from x and v, and from where the first one's slope leads in (1 - GAMMA) h. */
+  double sdirk2(double h, StepReport& report)
+  {
+    // Loads that come and go do so between steps: one time for both stages, and their impulse is exact.
+    const double stage = GAMMA * h, ahead = (1 - GAMMA) / GAMMA, load_time = state_.time + h / 2;
+    const bool lasting = h == settings_.time_step, known = w_.history > 0 && lasting;
+
+    // Led components: the first stage has the slope of a chord around its end, so that the second one's velocity,
+    // which takes them to where they have to be, is of second order too.
+    leadTo(2 * stage);
+    w_.led.matrix() = (w_.led.matrix() + state_.x.matrix()) / 2;
+    NodalField& x = w_.predicted;
+    x.matrix() = state_.x.matrix() + stage * state_.v.matrix();
+    turn(x, state_.rotations, w_.stage_rotations, report);
+    takeLoads(load_time, x, report);
+    if (known)
+    {
+      w_.change.matrix() =
+          w_.last_change.matrix() + (w_.last_change.matrix() - w_.last_but_one_change.matrix()) / ahead;
+    }
+    solveStage({stage, known, lasting}, w_.stage_rotations, report);
+    remember();
+    if (!report.finite) return 0;
+
+    x.matrix() = state_.v.matrix() - w_.v_before.matrix();
+    state_.v.matrix() = w_.v_before.matrix() + ahead * x.matrix();
+    state_.x.matrix() = w_.x_before.matrix() + ahead * (state_.x.matrix() - w_.x_before.matrix());
+    x.matrix() = state_.x.matrix() + stage * (state_.v.matrix() + x.matrix());
+    turn(x, w_.stage_rotations, w_.candidate, report);
+    takeLoads(load_time, x, report);
+    leadTo(h);
+    w_.change.matrix() = w_.last_change.matrix();
+    solveStage({stage, true, lasting}, w_.candidate, report);
+    remember();
+    std::swap(w_.stage_rotations, w_.candidate);
+    return turn(state_.x, w_.stage_rotations, w_.candidate, report);
+  }
+
+  void takeLoads(double time, const NodalField& x, StepReport& report)
+  {
+    Stopwatch watch;
+    externalForce(model_, settings_, loads_, external_, time, x, w_.load);
+    watch.lap(report.ms.force);
+  }
+
+  /** Sets where led and held components have to be in `ahead` seconds. */
+  void leadTo(double ahead)
+  {
+    w_.led.matrix() = state_.x.matrix();
+    applySupports(supports_, state_.time + ahead, (state_.time + ahead - begin_) / settings_.time_step, w_.led);
+  }
+
+  /** The solved change of v, for the next ones to start from. */
+  void remember()
+  {
+    std::swap(w_.last_change, w_.last_but_one_change);
+    w_.last_change.matrix() = w_.change.matrix();
+  }
+
+  double turn(const NodalField& x, const Rotations& before, Rotations& after, StepReport& report)
+  {
+    if (!corotated() || !report.finite) return 0;
+    Stopwatch watch;
+    const Turn turn = updateRotations(model_, w_.partition, x, before, after, w_.turned);
+    report.turn = std::max(report.turn, turn.angle);
+    report.inverted = turn.inverted;
+    watch.lap(report.ms.rotation);
+    return turn.angle;
+  }
+
+  void solveStage(const Stage& stage, const Rotations& rotations, StepReport& report)
+  {
+    if (settings_.elasticity == Elasticity::GREEN)
+    {
+      newtonStage(model_, settings_, supports_, stage, state_, w_, report);
+    }
+    else
+    {
+      laggedStage(stage, rotations, report);
+    }
+  }
+
+  /** Implicit Euler with the rotations given: updates x and v, and leaves in `change` what was solved for. */
+  void laggedStage(const Stage& stage, const Rotations& rotations, StepReport& report)
+  {
+    Stopwatch watch;
+    const double h = stage.length, damp_m = settings_.damping.mass, damp_k = settings_.damping.stiffness;
+
+    // f_el(x) + (h + b) K' v = f_el(x + (h + b) v), because f_el is affine while the rotations are held.
+    w_.predicted.matrix() = state_.x.matrix() + (h + damp_k) * state_.v.matrix();
+    elasticForce(model_, w_.partition, rotations, w_.predicted, w_.force);
+    w_.rhs.matrix() = h * (w_.load.matrix() - nodes(w_.force, model_));
+    if (damp_m > 0)
+    {
+      systemProduct(model_, w_.partition, rotations, h * damp_m, 0, state_.v, w_.force);
+      w_.rhs.matrix() -= nodes(w_.force, model_);
+    }
+    watch.lap(report.ms.force);
+
+    const double alpha = 1 + h * damp_m, beta = h * (h + damp_k);
+    const MatrixFreeSystem<Rotations> matrix_free(model_, w_.partition, rotations, alpha, beta);
+    const SystemOperator& system = systemOf(matrix_free, rotations, alpha, beta, w_);
+    w_.solver.prepare(system, model_, w_.partition, supports_.held, 1e-3 * h);
+    watch.lap(report.ms.assembly);
+
+    // Led components: the dv that takes them to where they have to be.
+    w_.led.matrix() = (w_.led.matrix() - state_.x.matrix()) / h - state_.v.matrix();
+    for (int i = 0; i < model_.num_nodes; ++i)
+    {
+      for (int axis = 0; axis < 3; ++axis)
+      {
+        if (!(supports_.held[i] >> axis & 1)) w_.led[i][axis] = 0;
+      }
+    }
+    const bool led = !(w_.led.matrix().array() == 0).all();
+    if (led)
+    {
+      system.product(w_.led, w_.force);
+      w_.rhs.matrix() -= nodes(w_.force, model_);
+    }
+
+    if (!stage.start_known) w_.change.setZero();
+    solveLinear(model_, settings_, supports_, rotations, system, alpha, beta, settings_.solver.tolerance,
+                std::max(1, settings_.solver.max_iterations), stage.lasting, w_, report);
+    w_.balance.matrix() = nodes(w_.solver.residual(), model_) / -h;
+
+    state_.v.matrix() += w_.change.matrix();
+    if (led) state_.v.matrix() += w_.led.matrix();
+    state_.x.matrix() += h * state_.v.matrix();
+    report.finite = state_.x.matrix().allFinite();
+    watch.lap(report.ms.solve);
+  }
+
+  const Model& model_;
+  const StepSettings& settings_;
+  const Supports& supports_;
+  const std::vector<AppliedLoad>& loads_;
+  const NodalField& external_;
+  State& state_;
+  Workspace& w_;
+  const double begin_;  // s
+};
 
 Rotations startRotations(const Model& model, const StepSettings& settings)
 {
@@ -94,7 +279,9 @@ Workspace::Workspace(const Model& model, const StepSettings& settings, int threa
       last_but_one_change(model.num_nodes),
       x_before(model.num_nodes),
       v_before(model.num_nodes),
+      predicted(model.num_nodes),
       candidate(startRotations(model, settings)),
+      stage_rotations(candidate),
       turned(candidate.flags.size())
 {
   if (settings.solver.system_operator == Scene::Solver::Operator::ASSEMBLED)
@@ -107,60 +294,19 @@ StepReport implicitEulerStep(const Model& model, const StepSettings& settings, c
                              const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
                              Workspace& w)
 {
-  if (settings.elasticity == Elasticity::GREEN)
-  {
-    return newtonStep(model, settings, supports, loads, external, state, w);
-  }
-  StepReport report;
-  report.substeps = 0;
-  report.inverted = state.rotations.inverted(model.num_tets);
-  Stopwatch total, watch;
-  const double begin = state.time, end = settings.time_step * static_cast<double>(state.steps + 1);
-  const double shortest = settings.time_step / MAX_SUBSTEPS;
-  double h = settings.time_step;
-  while (report.finite && (report.substeps == 0 || end - state.time > 0.5 * shortest))
-  {
-    h = std::min(h, end - state.time);
-    w.x_before.matrix() = state.x.matrix();
-    w.v_before.matrix() = state.v.matrix();
-    StepReport attempt = report;
-    laggedStep(model, settings, supports, loads, external, begin, h, state, w, attempt);
+  return ImplicitStep(model, settings, supports, loads, external, state, w).run(ImplicitStep::Method::EULER);
+}
 
-    if (settings.elasticity == Elasticity::COROTATED && attempt.finite)
-    {
-      watch = Stopwatch();
-      const Turn turn = updateRotations(model, w.partition, state.x, state.rotations, w.candidate, w.turned);
-      watch.lap(attempt.ms.rotation);
-      // Not while an element is inverted: such a body recovers best with the long step's damping, and its motion is of
-      // no interest.
-      const bool recovering = report.inverted > 0;
-      if (turn.angle > MAX_TURN && !recovering && h > 1.001 * shortest)
-      {
-        // A lagged step turns an element that spins at w by atan(w h).
-        const double pieces = std::ceil(std::tan(std::min(turn.angle, 1.5)) / MAX_TURN);
-        h = std::max(h / std::max(pieces, 2.0), shortest);
-        state.x.matrix() = w.x_before.matrix();
-        state.v.matrix() = w.v_before.matrix();
-        report.iterations = attempt.iterations;
-        report.ms = attempt.ms;
-        continue;
-      }
-      attempt.turn = std::max(attempt.turn, turn.angle);
-      attempt.inverted = turn.inverted;
-      std::swap(state.rotations, w.candidate);
-    }
-    report = attempt;
-    ++report.substeps;
-    state.time += h;
-  }
-  ++state.steps;
-  state.time = settings.time_step * static_cast<double>(state.steps);
+StepReport sdirk2Step(const Model& model, const StepSettings& settings, const Supports& supports,
+                      const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w)
+{
+  return ImplicitStep(model, settings, supports, loads, external, state, w).run(ImplicitStep::Method::SDIRK2);
+}
 
-  std::swap(w.last_change, w.last_but_one_change);
-  std::swap(w.last_change, w.change);
-  w.history = report.substeps == 1 ? std::min(w.history + 1, 2) : 0;
-  total.lap(report.ms.total);
-  return report;
+StepReport automaticStep(const Model& model, const StepSettings& settings, const Supports& supports,
+                         const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w)
+{
+  return ImplicitStep(model, settings, supports, loads, external, state, w).run(ImplicitStep::Method::AUTO);
 }
 
 Workspace::~Workspace() = default;

@@ -196,7 +196,7 @@ private:
   Eigen::Matrix3Xd surface_, normals_;
   long surfaces_ = 0;  // files written
 
-  long steps_ = 0, substeps_ = 0, substepped_ = 0;
+  long steps_ = 0, substeps_ = 0, substepped_ = 0, second_order_ = 0;
   bool converged_ = true, finite_ = true;
   bool multigrid_ = false;
   double residual_ = 0, turn_ = 0, kinetic_ = 0, kinetic_peak_ = 0;
@@ -212,6 +212,7 @@ private:
     multigrid_ = multigrid_ || report.multigrid;
     substeps_ += report.substeps;
     substepped_ += report.substeps > 1;
+    second_order_ += report.second_order;
     iterations_.push_back(report.iterations);
     double surface_ms = 0;
     if (simulation_.scene().surface_file)
@@ -285,6 +286,7 @@ private:
     j["inverted_elements"] = invertedElements(model, state.x);
     j["substeps"] = substeps_;
     j["substepped_steps"] = substepped_;
+    j["sdirk2_steps"] = second_order_;
     j["largest_turn"] = turn_;
     j["threads"] = options_.threads;
     j["ms_per_step"] = {{"rotation", median(ms_[0])},

@@ -7,6 +7,7 @@
 #include <random>
 
 #include "bezier_fem/bernstein.h"
+#include "bezier_fem/boundary_conditions.h"
 #include "bezier_fem/mesh.h"
 #include "bezier_fem/model.h"
 
@@ -102,6 +103,38 @@ inline Eigen::Matrix3d randomRotation(std::mt19937& random)
   return Eigen::Quaterniond(normal(random), normal(random), normal(random), normal(random))
       .normalized()
       .toRotationMatrix();
+}
+
+/** Holds the nodes whose rest positions are inside where they are at rest, or leads them along a motion. */
+template <class Inside>
+Supports hold(const Model& model, const Inside& inside, std::vector<MotionSample> motion = {})
+{
+  Supports supports;
+  supports.held.assign(model.num_nodes, 0);
+  supports.region.assign(model.num_nodes, {-1, -1, -1});
+  supports.start = model.rest;
+  HeldRegion region;
+  region.name = "held";
+  region.axes = {true, true, true};
+  region.motion = std::move(motion);
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    if (!inside(Eigen::Vector3d(model.rest[i]))) continue;
+    region.nodes.push_back(i);
+    supports.held[i] = 7;
+    supports.region[i] = {0, 0, 0};
+  }
+  supports.regions.push_back(region);
+  return supports;
+}
+inline Supports holdFoot(const Model& model, std::vector<MotionSample> motion = {})
+{
+  return hold(
+      model, [](const Eigen::Vector3d& X) { return X.z() < 1e-9; }, std::move(motion));
+}
+inline Supports holdNothing(const Model& model)
+{
+  return hold(model, [](const Eigen::Vector3d&) { return false; });
 }
 
 inline const char* name(Element element)

@@ -32,24 +32,6 @@ protected:
   {
     return {dt, GetParam().elasticity, GetParam().rotation, {0, 0}, {0, -9.81, 0}, {1e-9, 1000}};
   }
-  Supports holdFoot(bool held) const
-  {
-    Supports supports;
-    supports.held.assign(model.num_nodes, 0);
-    supports.region.assign(model.num_nodes, {-1, -1, -1});
-    supports.start = model.rest;
-    HeldRegion region;
-    region.axes = {true, true, true};
-    for (int i = 0; held && i < model.num_nodes; ++i)
-    {
-      if (model.rest[i].z() > 1e-9) continue;
-      region.nodes.push_back(i);
-      supports.held[i] = 7;
-      supports.region[i] = {0, 0, 0};
-    }
-    supports.regions.push_back(region);
-    return supports;
-  }
   double elastic(const State& state) const
   {
     return GetParam().elasticity == Elasticity::GREEN ? greenEnergy(model, state.x)
@@ -64,7 +46,7 @@ protected:
   {
     const StepSettings s = settings(dt);
     Workspace workspace(model, s, 1);
-    const Supports supports = holdFoot(true);
+    const Supports supports = test::holdFoot(model);
     State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
     const double before = energy(s, state);
     for (int k = 0; k < std::lround(duration / dt); ++k)
@@ -95,7 +77,7 @@ TEST_P(Explicit, ABodyFallsAsItMust)
 {
   const StepSettings s = settings(0.02);
   Workspace workspace(model, s, 1);
-  const Supports supports = holdFoot(false);
+  const Supports supports = test::holdNothing(model);
   State state = startState(model, s, supports, model.rest, Vector3d(1, 2, 3), workspace);
   for (int k = 0; k < 10; ++k) explicitStep(model, s, supports, {}, no_force, state, workspace);
   EXPECT_NEAR(state.time, 0.2, 1e-15);
@@ -138,7 +120,7 @@ TEST_P(Explicit, ALongStepIsCutIntoStableOnes)
   StepSettings s = settings(0.05);
   s.damping = {0.5, 1e-3};
   Workspace workspace(model, s, 1);
-  const Supports supports = holdFoot(true);
+  const Supports supports = test::holdFoot(model);
   State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
   const double stable = stableStep(model, s, state, workspace);
   double largest = 0;
@@ -165,7 +147,7 @@ TEST_P(Explicit, LeadsItsSupports)
   s.gravity.setZero();
   s.damping.mass = 15;  // about critical
   Workspace workspace(model, s, 1);
-  Supports supports = holdFoot(true);
+  Supports supports = test::holdFoot(model);
   supports.regions[0].motion = {{0, {0, 0, 0}, {0, 0, 0, 1}}, {0.2, {0.1, 0.2, 0}, {0, 0, 0, 1}}};
   State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
   for (int k = 0; k < 150; ++k) explicitStep(model, s, supports, {}, no_force, state, workspace);

@@ -29,35 +29,6 @@ protected:
   {
     return {DT, Elasticity::GREEN, RotationRule::FROM_CORNERS, {0, 0}, {0, -9.81, 0}, {tolerance, 5000}};
   }
-  template <class Inside>
-  Supports hold(const Inside& inside, std::vector<MotionSample> motion = {}) const
-  {
-    Supports supports;
-    supports.held.assign(model.num_nodes, 0);
-    supports.region.assign(model.num_nodes, {-1, -1, -1});
-    supports.start = model.rest;
-    HeldRegion region;
-    region.name = "held";
-    region.axes = {true, true, true};
-    region.motion = std::move(motion);
-    for (int i = 0; i < model.num_nodes; ++i)
-    {
-      if (!inside(Vector3d(model.rest[i]))) continue;
-      region.nodes.push_back(i);
-      supports.held[i] = 7;
-      supports.region[i] = {0, 0, 0};
-    }
-    supports.regions.push_back(region);
-    return supports;
-  }
-  Supports holdFoot() const
-  {
-    return hold([](const Vector3d& X) { return X.z() < 1e-9; });
-  }
-  Supports holdNothing() const
-  {
-    return hold([](const Vector3d&) { return false; });
-  }
   double energy(const StepSettings& s, const State& state) const
   {
     return kineticEnergy(model, state.v) + greenEnergy(model, state.x) + gravityEnergy(model, s.gravity, state.x);
@@ -71,7 +42,7 @@ TEST_P(Newton, AStepSatisfiesImplicitEuler)
   // M (v - v_0) + h (f_el(x) + a M v + b K(x_0) v - f_ext) = 0 where free, the supports' force where held.
   StepSettings s = settings(1e-10);
   s.damping = {0.7, 0.01};
-  const Supports supports = holdFoot();
+  const Supports supports = test::holdFoot(model);
   Workspace workspace(model, s, 1);
   State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
   for (int k = 0; k < 10; ++k)
@@ -110,7 +81,7 @@ TEST_P(Newton, AStepSatisfiesImplicitEuler)
 TEST_P(Newton, FreeFallIsExactAndKeepsItsShape)
 {
   const StepSettings s = settings();
-  const Supports supports = holdNothing();
+  const Supports supports = test::holdNothing(model);
   Workspace workspace(model, s, 1);
   State state = startState(model, s, supports, model.rest, Vector3d(0.3, 0, 0.1), workspace);
   for (int k = 1; k <= 50; ++k)
@@ -126,7 +97,7 @@ TEST_P(Newton, EveryStepLosesEnergy)
 {
   // Implicit Euler minimises |v - v_0|^2/2 + U, which at v_0's own path is no less: it can only damp.
   StepSettings s = settings();
-  const Supports supports = holdFoot();
+  const Supports supports = test::holdFoot(model);
   Workspace workspace(model, s, 1);
   State state = startState(model, s, supports, model.rest, Vector3d(0, 0.5, 0), workspace);
   double last = energy(s, state), kinetic = 0;
@@ -147,7 +118,7 @@ TEST_P(Newton, StaticEquilibriumIsWhereADampedMotionEnds)
 {
   StepSettings s = settings();
   s.damping.mass = 5;
-  const Supports supports = holdFoot();
+  const Supports supports = test::holdFoot(model);
   Workspace workspace(model, s, 1);
   State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
   State equilibrium = state;
@@ -181,7 +152,7 @@ TEST_P(Newton, FindsTheEquilibriumOfSoftBodiesHangingAndStanding)
       setMaterials(model, std::vector<Material>(model.num_tets, {young, 0.34, 500}));
       StepSettings s = settings(1e-6);
       s.gravity = {0.05, 0, gravity};
-      const Supports supports = holdFoot();
+      const Supports supports = test::holdFoot(model);
       Workspace workspace(model, s, 1);
       State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
       const double before = energy(s, state);
@@ -206,7 +177,7 @@ TEST_P(Newton, BalancesAPressureThatTurnsWithTheBody)
 {
   // Nearly as much as makes the bar buckle if it did not turn.
   StepSettings s = settings(1e-6);
-  const Supports supports = holdFoot();
+  const Supports supports = test::holdFoot(model);
   for (const double pressure : {5000.0, -5000.0})
   {
     AppliedLoad load;
@@ -241,8 +212,8 @@ TEST_P(Newton, ALedRegionIsWhereItsMotionSaysAndTheBodyFollows)
   s.gravity.setZero();
   s.damping.mass = 2;
   const double half = std::sqrt(0.5);
-  const Supports supports = hold([](const Vector3d& X) { return X.z() < 1e-9; },
-                                 {{0, {0, 0, 0}, {0, 0, 0, 1}}, {1, {0.1, 0.2, 0}, {0, 0, half, half}}});
+  const Supports supports =
+      test::holdFoot(model, {{0, {0, 0, 0}, {0, 0, 0, 1}}, {1, {0.1, 0.2, 0}, {0, 0, half, half}}});
   Workspace workspace(model, s, 1);
   State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
   for (int k = 1; k <= 400; ++k)
@@ -276,7 +247,7 @@ TEST_P(Newton, SurvivesInvertedStartsAndLongSteps)
       StepSettings s = settings(1e-4);
       s.time_step = dt;
       s.solver.max_iterations = 500;
-      const Supports supports = holdNothing();
+      const Supports supports = test::holdNothing(model);
       Workspace workspace(model, s, 1);
       State state = startState(model, s, supports, *x, Vector3d::Zero(), workspace);
       double last = energy(s, state);
@@ -302,7 +273,7 @@ TEST_P(Newton, SurvivesInvertedStartsAndLongSteps)
 TEST_P(Newton, ThreadsChangeNothingButRounding)
 {
   const StepSettings s = settings(1e-9);
-  const Supports supports = holdFoot();
+  const Supports supports = test::holdFoot(model);
   Workspace one(model, s, 1), two(model, s, 2), again(model, s, 2);
   State a = startState(model, s, supports, model.rest, Vector3d::Zero(), one), b = a, c = a;
   for (int k = 0; k < 5; ++k)

@@ -370,7 +370,8 @@ TEST_F(SceneTest, Choices)
   expectRefused("element=2", {"element is 2, must be one of linear, quadratic"});
   expectRefused("element=[linear]", {"element is [linear]"});
   expectRefused("elasticity=plastic", {"elasticity is plastic, must be one of corotated, green, linear"});
-  expectRefused("integrator=euler", {"integrator is euler, must be one of implicit_euler, explicit, static"});
+  expectRefused("integrator=euler",
+                {"integrator is euler, must be one of implicit_euler, sdirk2, auto, explicit, static"});
   expectRefused("rotation=polar", {"rotation is polar, must be one of corners, centroid, four"});
   expectRefused("solver.preconditioner=ilu",
                 {"solver.preconditioner is ilu, must be one of auto, block_jacobi, pmultigrid"});
