@@ -114,6 +114,7 @@ int main(int argc, char** argv)
       "Timoshenko for bending, Saint-Venant for torsion (free to warp at the clamped end), rod for axial.",
       frequencies);
 #endif
+  add("locking", "Errors as Poisson's ratio goes to one half", "locking", locking);
   add("spin", "Momentum, angular momentum and energy over 10 s of free motion; the files hold a row every 0.1 s",
       "spin: a bar turns at 5 rad/s; swing: a bar bent by 0.6 rad is let go. 120 elements, time_step in s. momentum, "
       "angular_momentum: change since the start, relative to what all the energy of the start would be worth as a "
