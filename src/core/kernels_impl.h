@@ -6,6 +6,10 @@ namespace bezier_fem::kernels
 {
 namespace
 {
+// For the innermost functions, of which a compiler leaves some out of line once a file has enough of them: a tenth more
+// time for a product.
+#define ALWAYS_INLINE inline __attribute__((always_inline))
+
 using Vec = double __attribute__((vector_size(sizeof(double) * WIDTH)));
 using Node = double __attribute__((vector_size(sizeof(double) * 4)));
 static_assert(LANES % WIDTH == 0, "a block is a whole number of registers");
@@ -41,7 +45,7 @@ inline Vec3 operator*(Vec s, const Vec3& a)
 }
 
 /** The values of WIDTH nodes, one a lane: a transpose from x, y, z, 0 in memory to three registers. */
-inline Vec3 gather(const double* base, const int* nodes)
+ALWAYS_INLINE Vec3 gather(const double* base, const int* nodes)
 {
 #if WIDTH == 2
   const Vec a = load(base + 4L * nodes[0]), b = load(base + 4L * nodes[1]);
@@ -76,7 +80,7 @@ inline void addNode(double* base, int node, Node v)
 }
 
 /** The transpose of gather(): lane by lane, because two lanes may add to the same node. */
-inline void scatterAdd(double* base, const int* nodes, const Vec3& v)
+ALWAYS_INLINE void scatterAdd(double* base, const int* nodes, const Vec3& v)
 {
 #if WIDTH == 2
   for (int k = 0; k < 2; ++k)
@@ -127,7 +131,7 @@ struct RotatedGradients
   Vec3 r[4];
 };
 
-inline RotatedGradients loadGradients(const double* p)
+ALWAYS_INLINE RotatedGradients loadGradients(const double* p)
 {
   RotatedGradients g;
   for (int a = 0; a < 3; ++a)
@@ -143,8 +147,8 @@ inline RotatedGradients loadGradients(const double* p)
  * Stress of the strain sym(sum_d u_d r_d^T) - identity, u_d measured from u_0, which sum_d r_d = 0 allows and which
  * keeps a body far from the origin exact. Adds the strain's trace to `dilatation`.
  */
-inline Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, const Vec3& u3, double identity,
-                  Vec lambda, Vec mu, Vec& dilatation)
+ALWAYS_INLINE Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, const Vec3& u3, double identity,
+                         Vec lambda, Vec mu, Vec& dilatation)
 {
   const Vec3 &a = g.r[1], &b = g.r[2], &c = g.r[3];
   const Vec exx = u1.x * a.x + u2.x * b.x + u3.x * c.x - identity;
@@ -251,7 +255,7 @@ inline void elasticForce(const double* rotated, const Vec3* u, double identity, 
 
 /** f += m M u / (rho V), with the exact integrals of products of basis functions; mass is m rho V. */
 template <int NODES>
-inline void addMass(const Vec3* u, Vec mass, Vec3* f)
+ALWAYS_INLINE void addMass(const Vec3* u, Vec mass, Vec3* f)
 {
   if constexpr (NODES == 4)
   {
@@ -326,7 +330,7 @@ inline Sym symmetricH(const Vec3& c, const Vec3& d, Vec lambda, Vec mu)
           (sum + sum) * c.y * d.y + dot, sum * (c.y * d.z + c.z * d.y), (sum + sum) * c.z * d.z + dot};
 }
 
-inline void scatterDiagonal(double* d, const int* nodes, Sym s, Vec mass)
+ALWAYS_INLINE void scatterDiagonal(double* d, const int* nodes, Sym s, Vec mass)
 {
   s.xx += mass;
   s.yy += mass;
@@ -755,3 +759,5 @@ const Table TABLE = {
     {greenEnergy<10>, addGreenForce<10>, lineariseGreen<10>, addGreenProduct<10>, addGreenDiagonal<10>}};
 
 }  // namespace bezier_fem::kernels
+
+#undef ALWAYS_INLINE
