@@ -209,7 +209,8 @@ inline void elasticForce(const double* rotated, const Vec3* u, double identity, 
                     lambda, mu, dilatation);
     }
     Sym sum = q[0] + q[1] + q[2] + q[3];
-    // A constant pressure gives Q_a = V/4 pressure; 2 * 2 / 4 of it, times a quarter of the sum of the dilatations.
+    // A constant pressure p gives 2 Q_a = V p/2, and p is `mean` times a quarter of the sum of the dilatations, of
+    // which half is here.
     if constexpr (MEAN) addPressure(sum, 0.25 * mean * dilatation);
     for (int c = 0; c < 4; ++c) q[c] = q[c] + sum;
     for (int a = 0; a < 4; ++a)

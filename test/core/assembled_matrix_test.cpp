@@ -258,6 +258,7 @@ TEST_P(AssembledMatrixTest, NumberOfThreadsChangesNothing)
 TEST_P(AssembledMatrixTest, FollowsTheMaterialAndTheRotations)
 {
   Body body({2, 2, 2}, GetParam());
+  setMaterials(body.model, std::vector<Material>(body.mesh.tets.cols(), {1e5, 0.2, 500}));
   AssembledMatrix A(body.model);
   FusedAssembler fused(body.model, A);
   fused.assemble(body.model, body.partition, restRotations(body.model), 1, 1, A);
