@@ -33,6 +33,14 @@ enum class RotationRule
   FOUR_POINTS     // four rotations, at the points of the rule of degree 2 (after Mezger et al. 2008)
 };
 
+/** The change of volume that quadratic elements resist; linear ones have one only, and Green's strain has FULL. */
+enum class Dilatation
+{
+  AUTO,  // MEAN in nearly incompressible elements
+  FULL,  // that at every point: locks as Poisson's ratio goes to 0.5
+  MEAN   // in part its mean over the element (model.h)
+};
+
 enum class Integrator
 {
   IMPLICIT_EULER,
@@ -89,6 +97,7 @@ struct Scene
   Element element = Element::QUADRATIC;
   Elasticity elasticity = Elasticity::COROTATED;
   RotationRule rotation = RotationRule::FROM_CORNERS;
+  Dilatation dilatation = Dilatation::AUTO;
 
   Material material;
   struct MaterialOverride  // later ones win

@@ -354,7 +354,9 @@ Simulation::Simulation(Scene scene, int threads, const Log& log)
     override_tets_.push_back(selector.tets(region.region, region.key));
   }
   model_.num_tets = static_cast<int>(mesh.tets.cols());
-  model_ = buildModel(mesh, scene_.element, materials(scene_.material));
+  // Green's strain has one volumetric term only.
+  const Dilatation dilatation = scene_.elasticity == Elasticity::GREEN ? Dilatation::FULL : scene_.dilatation;
+  model_ = buildModel(mesh, scene_.element, materials(scene_.material), dilatation);
   supports_ = buildSupports(scene_, model_, selector);
   initial_ = initialPositions(scene_, model_, mesh);
   supports_.start = initial_;

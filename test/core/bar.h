@@ -82,9 +82,10 @@ inline TetMesh irregularBox(const Eigen::Vector3i& cells, const Eigen::Vector3d&
 
 constexpr Material RUBBER{2e5, 0.34, 500};
 
-inline Model boxModel(const TetMesh& mesh, Element element, const Material& material = RUBBER)
+inline Model boxModel(const TetMesh& mesh, Element element, const Material& material = RUBBER,
+                      Dilatation dilatation = Dilatation::FULL)
 {
-  return buildModel(mesh, element, std::vector<Material>(mesh.tets.cols(), material));
+  return buildModel(mesh, element, std::vector<Material>(mesh.tets.cols(), material), dilatation);
 }
 
 /** A field of random numbers in [-1, 1]. */

@@ -109,6 +109,7 @@ TEST_F(SceneTest, DefaultsAreThoseOfTheFormat)
   EXPECT_EQ(scene.model.rpy, Eigen::Vector3d(0, 0, 0));
   EXPECT_EQ(scene.element, Element::QUADRATIC);
   EXPECT_EQ(scene.elasticity, Elasticity::COROTATED);
+  EXPECT_EQ(scene.dilatation, Dilatation::AUTO);
   EXPECT_EQ(scene.material.young, 2);
   EXPECT_EQ(scene.material.poisson, 0.3);
   EXPECT_EQ(scene.material.density, 4);
@@ -143,6 +144,7 @@ model:
 element: linear
 elasticity: linear
 rotation: corners
+dilatation: mean
 material:
   young: 2.0e+5
   poisson: 0.45
@@ -179,6 +181,7 @@ node: {mode: lockstep, publish_rate: 12.5, wrench: {radius: 1, max_distance: 2, 
   EXPECT_EQ(scene.model.rpy, Eigen::Vector3d(0.1, 0.2, 0.3));
   EXPECT_EQ(scene.element, Element::LINEAR);
   EXPECT_EQ(scene.elasticity, Elasticity::LINEAR);
+  EXPECT_EQ(scene.dilatation, Dilatation::MEAN);
   EXPECT_EQ(scene.material.young, 2e5);
   EXPECT_EQ(scene.material.poisson, 0.45);
   EXPECT_EQ(scene.material.density, 500);
@@ -264,6 +267,7 @@ initial: {}
 node: {wrench: {}}
 elasticity: linear
 rotation: corners
+dilatation: mean
 )");
   EXPECT_TRUE(scene.fixed.empty());
   EXPECT_EQ(load({"model.cell_size=0.1"}).model.cell_size, 0.1);  // of no use to a file of tetrahedra
@@ -384,6 +388,7 @@ TEST_F(SceneTest, Choices)
   expectRefused("integrator=euler",
                 {"integrator is euler, must be one of implicit_euler, sdirk2, auto, explicit, static"});
   expectRefused("rotation=polar", {"rotation is polar, must be one of corners, centroid, four"});
+  expectRefused("dilatation=none", {"dilatation is none, must be one of auto, full, mean"});
   expectRefused("solver.preconditioner=ilu",
                 {"solver.preconditioner is ilu, must be one of auto, block_jacobi, pmultigrid"});
   expectRefused("solver.operator=dense", {"solver.operator is dense, must be one of matrix_free, assembled"});
