@@ -139,6 +139,7 @@ struct Scene
   {
     std::optional<std::string> positions;                // absolute path of a CSV file: node,x,y,z
     Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  // m/s
+    Eigen::Vector3d spin = Eigen::Vector3d::Zero();      // rad/s, about the centre of mass
   } initial;
 
   struct Fixed

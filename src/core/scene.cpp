@@ -548,9 +548,10 @@ Scene readScene(const YamlNode& root, const Origin& origin)
   if (const auto found = map.find("solver")) readSolver(*found, scene.solver);
   if (const auto found = map.find("initial"))
   {
-    const Map initial(*found, {"positions", "velocity"});
+    const Map initial(*found, {"positions", "velocity", "spin"});
     initial.get("positions", scene.initial.positions, readFile);
     initial.get("velocity", scene.initial.velocity, readVector);
+    initial.get("spin", scene.initial.spin, readVector);
   }
   map.get("fixed", scene.fixed, readFixed);
   map.get("loads", scene.loads, readLoads);

@@ -123,6 +123,7 @@ TEST_F(SceneTest, DefaultsAreThoseOfTheFormat)
   EXPECT_EQ(scene.solver.max_iterations, 500);
   EXPECT_FALSE(scene.initial.positions);
   EXPECT_EQ(scene.initial.velocity, Eigen::Vector3d(0, 0, 0));
+  EXPECT_EQ(scene.initial.spin, Eigen::Vector3d(0, 0, 0));
   EXPECT_TRUE(scene.fixed.empty());
   EXPECT_TRUE(scene.loads.empty());
   EXPECT_FALSE(scene.surface_file);
@@ -157,7 +158,7 @@ gravity: [1, -2, 3.5]
 time_step: 0.01
 integrator: static
 solver: {preconditioner: block_jacobi, operator: matrix_free, tolerance: 1.0e-6, max_iterations: 7}
-initial: {positions: start.csv, velocity: [4, 5, 6]}
+initial: {positions: start.csv, velocity: [4, 5, 6], spin: [7, 8, 9]}
 fixed:
   - {name: feet, box: {min: [-1, -1, -1], max: [1, 1, 0.05]}}
   - {sphere: {center: [1, 2, 3], radius: 4}, axes: [z, x]}
@@ -207,6 +208,7 @@ node: {mode: lockstep, publish_rate: 12.5, wrench: {radius: 1, max_distance: 2, 
   EXPECT_EQ(scene.solver.max_iterations, 7);
   EXPECT_EQ(scene.initial.positions, (folder_ / "start.csv").string());
   EXPECT_EQ(scene.initial.velocity, Eigen::Vector3d(4, 5, 6));
+  EXPECT_EQ(scene.initial.spin, Eigen::Vector3d(7, 8, 9));
 
   using Axes = std::array<bool, 3>;
   ASSERT_EQ(scene.fixed.size(), 4u);
@@ -332,7 +334,7 @@ TEST_F(SceneTest, WrongTypesNameKeyValueAndWhatIsAllowed)
     expectRefused(std::string(key) + "=null", {std::string(key) + " is null, must be a list"});
     expectRefused(std::string(key) + "=[3]", {std::string(key) + "[0] is 3, must be a map"});
   }
-  for (const char* key : {"gravity", "initial.velocity", "model.pose.xyz", "model.pose.rpy", "probes.nose"})
+  for (const char* key : {"gravity", "initial.velocity", "initial.spin", "model.pose.xyz", "model.pose.rpy", "probes.nose"})
   {
     expectRefused(std::string(key) + "=1", {std::string(key) + " is 1, must be a list of three numbers"});
     expectRefused(std::string(key) + "=[1, 2]", {std::string(key) + " is [1, 2], must be a list of three numbers"});
