@@ -36,8 +36,25 @@ def cells(group, each):
     return {"cells": table, "truths": judges.truths.told}
 
 
-NAMES = list(columns())
+def scramble(each):
+    """How often the default comes back from a scrambled start, and what changes that."""
+    rates = []
+    for name, keys in provocations.SCRAMBLE_REMEDIES.items():
+        runs = each(f"scramble, {name}", [(f"seed {seed}", functools.partial(recovered, seed, keys))
+                                          for seed in range(provocations.SEEDS)])
+        rates.append({"name": name, "keys": keys, "recovered": sum(r["outcome"] == judges.RIGHT for r in runs),
+                      "lost": sum(r["outcome"] == judges.BLOWN_UP for r in runs),
+                      "seconds": sum(r["seconds"] for r in runs) / len(runs)})
+    return {"rates": rates}
+
+
+def recovered(seed, keys):
+    provocation = provocations.scrambled(seed, keys)
+    return judges.judge(provocation, methods.DEFAULT, methods.run(provocation, methods.DEFAULT))
+
+
+NAMES = [*columns(), "scramble"]
 
 
 def run(name, each):
-    return cells(name, each)
+    return scramble(each) if name == "scramble" else cells(name, each)

@@ -40,6 +40,8 @@ class Run:
         if duration is not None:
             steps = max(1, round(duration / tree["time_step"]))
             command += ["--steps", steps, "--every", max(1, round(steps / ROWS))]
+        else:
+            command.append("--static")
         begin = time.monotonic()
         done = attempt(*command, timeout=LONGEST)
         self.seconds = time.monotonic() - begin
@@ -52,6 +54,11 @@ class Run:
         with open(summary, encoding="utf-8") as file:
             self.summary = json.load(file)
         self.status = self.summary["status"]
+
+    def times(self):
+        """Of the rows, s."""
+        with open(self.nodes, encoding="ascii") as file:
+            return sorted({float(line.split(",", 1)[0]) for line in file if line[0].isdigit()})
 
 
 def run(provocation, method):
@@ -67,8 +74,7 @@ def run(provocation, method):
 
 def reference(key, tree, duration, **keys):
     """A run that has to succeed."""
-    arguments = ["--static"] if duration is None else []
-    done = Run(folder("references", key), {**tree, **keys}, duration, arguments, "run_scene")
+    done = Run(folder("references", key), {**tree, **keys}, duration, [], "run_scene")
     if done.status != "ok":
         raise Failed(f"reference {key}: {done.line or done.status}")
     return done
