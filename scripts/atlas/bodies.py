@@ -28,6 +28,16 @@ def bar(cells=CELLS, size=SIZE):
     return np.array(points), np.array(tets) - 1
 
 
+def graded(cells):
+    """The bar with smaller elements towards its four long sides and the wall, where the stress has no limit."""
+    points, tets = bar(cells)
+    part = points / SIZE
+    inward = np.minimum(part[:, :2], 1 - part[:, :2])
+    part[:, :2] = np.where(part[:, :2] < 0.5, 2 * inward ** 2, 1 - 2 * inward ** 2)
+    part[:, 2] **= 2
+    return part * SIZE, tets
+
+
 def volumes(points, tets):
     edges = points[tets[:, 1:]] - points[tets[:, :1]]
     return np.linalg.det(edges) / 6
