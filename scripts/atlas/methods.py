@@ -19,6 +19,8 @@ METHODS = {
                     {}),
     "linear": ("implicit, linear elasticity", "run_scene", [], {"elasticity": "linear"}),
     "green": ("implicit, Green strain", "run_scene", [], {"elasticity": "green"}),
+    "sdirk2": ("implicit, second order, co-rotated", "run_scene", [], {"integrator": "sdirk2"}),
+    "auto": ("the same with integrator: auto", "run_scene", [], {"integrator": "auto"}),
     "default": ("implicit, co-rotated, inversion-safe: the default", "run_scene", [], {}),
 }
 DEFAULT = "default"

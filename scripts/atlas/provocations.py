@@ -111,8 +111,9 @@ def settled():
 
 
 def fine(**values):
-    cells = (6, 6, 15)
-    return scene(mesh("fine.msh", *bodies.bar(cells)), element="quadratic", **values)
+    """For the equilibrium under the bar's weight, where the material laws are 1 % apart. Green's strain has none to offer
+    on a fine mesh: it turns elements inside out at the clamped edges."""
+    return scene(mesh("fine.msh", *bodies.graded((6, 6, 12))), wall=-0.009, elasticity="corotated", **values)
 
 
 def twists():
@@ -161,13 +162,10 @@ def scramble(seed):
 SCRAMBLE_REMEDIES = {
     "default, damping.mass 5/s": {},
     "damping.mass 50/s, 20 s": {"damping": {"mass": 50.0}, "duration": 20.0},
-    "damping.stiffness 0.1 s": {"damping": {"mass": 5.0, "stiffness": 0.1}},
     "steps of 5 ms": {"time_step": 0.005},
     "steps of 0.1 s": {"time_step": 0.1},
     "steps of 1 s": {"time_step": 1.0, "duration": 60.0},
     "static solve instead of steps": {"duration": None},
-    "rotation: centroid": {"rotation": "centroid"},
-    "rotation: four": {"rotation": "four"},
     "linear elements": {"element": "linear"},
     "linear elasticity": {"elasticity": "linear"},
 }
