@@ -48,13 +48,27 @@ def scramble(each):
     return {"rates": rates}
 
 
-def recovered(seed, keys):
-    provocation = provocations.scrambled(seed, keys)
+def locking(each):
+    """The equilibrium under the bar's weight, by element, with the remedy and without, on two meshes."""
+    cases = provocations.locking()
+    wanted = sorted({judges.Truths.wanted(p, methods.DEFAULT) for _, p in cases} - set(judges.truths.known))
+    each("locking, truth", [("equilibrium", functools.partial(judges.truths.prepare, key)) for key in wanted])
+    verdicts = each("locking", [(f"{names[0]}, {names[1]}, {names[2]}", functools.partial(default_cell, p))
+                                for names, p in cases])
+    return {"rows": [[*names, verdict] for (names, _), verdict in zip(cases, verdicts)]}
+
+
+def default_cell(provocation):
     return judges.judge(provocation, methods.DEFAULT, methods.run(provocation, methods.DEFAULT))
 
 
-NAMES = [*columns(), "scramble"]
+def recovered(seed, keys):
+    return default_cell(provocations.scrambled(seed, keys))
+
+
+OTHERS = {"scramble": scramble, "locking": locking}
+NAMES = [*columns(), *OTHERS]
 
 
 def run(name, each):
-    return scramble(each) if name == "scramble" else cells(name, each)
+    return OTHERS[name](each) if name in OTHERS else cells(name, each)

@@ -96,7 +96,7 @@ def judge(provocation, method, run):
         return Verdict(REFUSED, None, run.line.split(": ", 1)[-1], seconds=run.seconds)
     rows = read_nodes(run.nodes)[1]
     times = np.linspace(0, provocation.duration or 0, len(rows))
-    verdict = finite(rows, run, provocation) or JUDGES[provocation.judge](provocation, method, run, times, rows)
+    verdict = blown(rows, run, provocation) or JUDGES[provocation.judge](provocation, method, run, times, rows)
     if run.status == "not_converged":
         verdict["text"] += f"; not converged, residual {run.summary['residual'] or np.inf:.0e}"
         if verdict["outcome"] == RIGHT:
@@ -105,8 +105,8 @@ def judge(provocation, method, run):
     return verdict
 
 
-def finite(rows, run, provocation):
-    """Blown up or, for None, not."""
+def blown(rows, run, provocation):
+    """The verdict where it has, else None."""
     size = np.ptp(rows[0], axis=0).max()
     if provocation.truth.get("reference") in ("free_fall", "soft"):
         size = GRAVITY * provocation.duration ** 2 / 2  # it may fall
@@ -119,7 +119,14 @@ def finite(rows, run, provocation):
     else:
         if run.status != "diverged":
             return None
-    return Verdict(BLOWN_UP, None, f"within {run.times()[last]:.2g} s")
+    first = None if provocation.judge != "spin" else lengths(rows)[1] / bodies.SIZE[2]
+    return Verdict(BLOWN_UP, None, f"within {run.times()[last]:.2g} s", first=first)
+
+
+def lengths(rows):
+    """From the middle of one end of the bar to that of the other."""
+    ends = [np.abs(rows[0][:, 2] - z) < 1e-9 for z in (0, bodies.SIZE[2])]
+    return np.linalg.norm(rows[:, ends[1]].mean(axis=1) - rows[:, ends[0]].mean(axis=1), axis=1)
 
 
 def swing(provocation, method, run, times, rows):
@@ -160,7 +167,7 @@ def rest(provocation, method, run, times, rows):
     theirs = truths.known[Truths.wanted(provocation, method)]
     size = np.linalg.norm(theirs)
     ours = tip - tip[0]
-    late = ours[times >= 0.9 * provocation.duration - 1e-9]
+    late = ours[times >= 0.9 * provocation.duration - 1e-9] if provocation.duration else ours[-1:]
     moving = np.ptp(late, axis=0).max() / size
     middle = late.mean(axis=0)
     error = np.linalg.norm(middle - theirs) / size
@@ -203,14 +210,13 @@ def spin(provocation, method, run, times, rows):
     mass = DENSITY * size.prod()
     kinetic = mass * (size[1] ** 2 + size[2] ** 2) / 24 * rate ** 2
     stretched = 1 + DENSITY * rate ** 2 * size[2] ** 2 / (12 * SPUN_YOUNG)
-    ends = [np.abs(rows[0][:, 2] - z) < 1e-9 for z in (0, size[2])]
-    length = np.linalg.norm(rows[:, ends[1]].mean(axis=1) - rows[:, ends[0]].mean(axis=1), axis=1)
+    length = lengths(rows)
     inflation = length.max() / stretched - 1
     energy = (run.summary["energy"]["kinetic"] or np.inf) / kinetic - 1
     error = max(abs(energy), abs(inflation))
     return Verdict(RIGHT if error <= TOLERANCE else WRONG, error,
                    f"energy of motion {percent(energy)}, length up to {percent(inflation)}", energy=energy,
-                   inflation=inflation)
+                   inflation=inflation, first=length[1] / length[0])
 
 
 def recovery(provocation, method, run, times, rows):

@@ -116,6 +116,21 @@ def fine(**values):
     return scene(mesh("fine.msh", *bodies.graded((6, 6, 12))), wall=-0.009, elasticity="corotated", **values)
 
 
+def locking():
+    """What the elements do as Poisson's ratio goes to 0.5: ((element, cells, ratio), provocation)."""
+    cases = []
+    for cells in ((2, 2, 5), (4, 4, 10)):
+        file = mesh("bar_{}_{}_{}.msh".format(*cells), *bodies.bar(cells))
+        for name, keys in (("linear", {"element": "linear"}), ("quadratic, dilatation: full", {"dilatation": "full"}),
+                           ("quadratic, dilatation: auto (the default)", {})):
+            for poisson in (0.34, 0.49, 0.499, 0.4999):
+                key = f"locking_{cells[0]}_{name.split(':')[-1].strip().split()[0]}_{poisson:g}"
+                cases.append(((name, "{} x {} x {}".format(*cells), f"{poisson:g}"),
+                              Provocation(key, "locking", f"{poisson:g}", scene(file, material__poisson=poisson, **keys),
+                                          None, "rest", static=fine(material__poisson=poisson))))
+    return cases
+
+
 def twists():
     """One end turns in 2 s, then 2 s to settle. The truth: each section has turned by its share of the angle."""
     size = np.array([0.1, 0.1, 1.0])

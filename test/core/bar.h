@@ -88,6 +88,26 @@ inline Model boxModel(const TetMesh& mesh, Element element, const Material& mate
   return buildModel(mesh, element, std::vector<Material>(mesh.tets.cols(), material), dilatation);
 }
 
+/** Holds what is at z = 0 at rest, where it starts. */
+inline Supports holdFoot(const Model& model, const NodalField& start)
+{
+  Supports supports;
+  supports.held.assign(model.num_nodes, 0);
+  supports.region.assign(model.num_nodes, {-1, -1, -1});
+  supports.start = start;
+  HeldRegion region;
+  region.axes = {true, true, true};
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    if (model.rest[i].z() > 1e-9) continue;
+    region.nodes.push_back(i);
+    supports.held[i] = 7;
+    supports.region[i] = {0, 0, 0};
+  }
+  supports.regions.push_back(region);
+  return supports;
+}
+
 /** A field of random numbers in [-1, 1]. */
 inline NodalField randomField(int size, unsigned seed, int rows = 0)
 {

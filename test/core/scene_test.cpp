@@ -334,7 +334,8 @@ TEST_F(SceneTest, WrongTypesNameKeyValueAndWhatIsAllowed)
     expectRefused(std::string(key) + "=null", {std::string(key) + " is null, must be a list"});
     expectRefused(std::string(key) + "=[3]", {std::string(key) + "[0] is 3, must be a map"});
   }
-  for (const char* key : {"gravity", "initial.velocity", "initial.spin", "model.pose.xyz", "model.pose.rpy", "probes.nose"})
+  for (const char* key :
+       {"gravity", "initial.velocity", "initial.spin", "model.pose.xyz", "model.pose.rpy", "probes.nose"})
   {
     expectRefused(std::string(key) + "=1", {std::string(key) + " is 1, must be a list of three numbers"});
     expectRefused(std::string(key) + "=[1, 2]", {std::string(key) + " is [1, 2], must be a list of three numbers"});
