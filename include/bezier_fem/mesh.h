@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -33,12 +34,14 @@ struct MeshGroup
  */
 struct TetMesh
 {
-  Eigen::Matrix3Xd corners;              // 3 x corners, in the order of their ids
-  Eigen::Matrix4Xi tets;                 // 4 x tets, columns of corner indices; in the file's order
-  std::vector<std::int64_t> corner_ids;  // the file's node ids, one a corner, increasing; from 0 in VTK files
-  std::vector<MidEdgeNode> mid_edges;    // empty for a first-order file, else one for every edge, sorted by corners
-  std::int64_t largest_id = 0;           // largest node id in the file, of unused nodes too
-  std::vector<MeshGroup> groups;         // sorted by name; none in VTK files
+  Eigen::Matrix3Xd corners;                 // 3 x corners, in the order of their ids
+  Eigen::Matrix4Xi tets;                    // 4 x tets, columns of corner indices; in the file's order
+  std::vector<std::int64_t> corner_ids;     // the file's node ids, one a corner, increasing; from 0 in VTK files
+  std::vector<MidEdgeNode> mid_edges;       // empty for a first-order file, else one for every edge, sorted by corners
+  std::int64_t largest_id = 0;              // largest node id in the file, of unused nodes too
+  std::vector<MeshGroup> groups;            // sorted by name; none in VTK files
+  std::vector<std::array<int, 2>> parents;  // one a corner: itself twice, or where refined() made it the two corners
+                                            // that it was halfway between; empty: not refined
 
   int flipped = 0;                    // elements that came inverted and were turned round
   double largest_curvature = 0;       // largest distance of a file's mid-edge node from the middle of its edge

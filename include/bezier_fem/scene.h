@@ -78,6 +78,7 @@ struct Scene
   {
     std::string file;                               // absolute
     std::optional<double> cell_size;                // m, after scaling; for surfaces
+    int refine = 0;                                 // times that every tetrahedron is cut into eight, 0 to 4
     double scale = 1;                               // 1 where longest_side is set
     std::optional<double> longest_side;             // m
     Eigen::Vector3d xyz = Eigen::Vector3d::Zero();  // m

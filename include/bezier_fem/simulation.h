@@ -88,7 +88,9 @@ public:
   void evaluateSurface(Eigen::Matrix3Xd& positions, Eigen::Matrix3Xd* normals) const;
   /** Stress at the nodes' material points, Pa, the mean over the elements that meet there: 6 x nodes. */
   Eigen::Matrix<double, 6, Eigen::Dynamic> nodalStress() const;
-  /** Von Mises stress at the surface points, Pa. */
+  /** Von Mises stress at material points, Pa: of the nodes' mean stress, linear in between. */
+  void evaluateStress(const std::vector<MaterialPoint>& points, Eigen::VectorXd& von_mises) const;
+  /** The same at the surface points. */
   void evaluateSurfaceStress(Eigen::VectorXd& von_mises) const;
   /** Current position of each of the scene's probes, m. */
   std::vector<Eigen::Vector3d> probes() const;

@@ -14,6 +14,7 @@
 #include "bezier_fem/green_strain.h"
 #include "bezier_fem/mesh_io.h"
 #include "bezier_fem/meshed_surface.h"
+#include "bezier_fem/refine.h"
 #include "bezier_fem/surface_mesh.h"
 #include "region.h"
 
@@ -32,6 +33,9 @@ struct Placement
     points = (T_world_model.linear() * (scale * points)).colwise() + T_world_model.translation();
   }
 };
+
+/** Of a refined mesh, far more than memory has room for: numbers of nodes and elements stay integers. */
+constexpr double MOST_TETS = 2e7;
 
 double longestSide(const Eigen::Matrix3Xd& points)
 {
@@ -66,7 +70,14 @@ TetMesh loadMesh(const Scene::Model& model, const Simulation::Log& log, Placemen
   }
   for (const std::string& warning : mesh.warnings) log(warning);
   Placement{scale_left, placement.T_world_model}.apply(mesh.corners);
-  return mesh;
+  const double tets = static_cast<double>(mesh.tets.cols()) * std::pow(8, model.refine);
+  if (tets > MOST_TETS)
+  {
+    throw InputError("model.refine: is " + std::to_string(model.refine) + ", which makes " +
+                     std::to_string(std::llround(tets)) + " tetrahedra of " + std::to_string(mesh.tets.cols()) +
+                     ", must leave at most " + std::to_string(std::llround(MOST_TETS)));
+  }
+  return refined(std::move(mesh), model.refine);
 }
 
 /** The boundary of the mesh; each face of a quadratic element as four triangles over its corners and mid-edges. */
@@ -192,11 +203,14 @@ NodalField initialPositions(const Scene& scene, const Model& model, const TetMes
     if (!known.count(id)) throw InputError(file + ": no tetrahedron of the mesh has a node " + std::to_string(id));
   }
   NodalField x = model.rest;
-  for (int i = 0; i < model.num_nodes; ++i)
-  {
-    const auto found = listed.find(model.ids[i]);
-    if (model.ends[i][0] == model.ends[i][1] && found != listed.end()) x[i] = found->second;
-  }
+  // Of the corners of a refined mesh those first that others sit halfway between. A chain is as long as the levels.
+  const std::function<Eigen::Vector3d(int)> cornerAt = [&](int c) -> Eigen::Vector3d {
+    const auto found = listed.find(mesh.corner_ids[c]);
+    if (found != listed.end()) return found->second;
+    if (mesh.parents.empty() || mesh.parents[c][0] == mesh.parents[c][1]) return mesh.corners.col(c);
+    return (cornerAt(mesh.parents[c][0]) + cornerAt(mesh.parents[c][1])) / 2;
+  };
+  for (std::size_t c = 0; c < mesh.corner_ids.size(); ++c) x[model.node_of_corner[c]] = cornerAt(static_cast<int>(c));
   for (int i = 0; i < model.num_nodes; ++i)
   {
     if (model.ends[i][0] == model.ends[i][1]) continue;
@@ -432,12 +446,17 @@ Eigen::Matrix<double, 6, Eigen::Dynamic> Simulation::nodalStress() const
 
 void Simulation::evaluateSurfaceStress(Eigen::VectorXd& von_mises) const
 {
+  evaluateStress(surface_.points, von_mises);
+}
+
+void Simulation::evaluateStress(const std::vector<MaterialPoint>& points, Eigen::VectorXd& von_mises) const
+{
   const auto nodal = nodalStress();
-  von_mises.resize(static_cast<Eigen::Index>(surface_.points.size()));
-  for (std::size_t i = 0; i < surface_.points.size(); ++i)
+  von_mises.resize(static_cast<Eigen::Index>(points.size()));
+  for (std::size_t i = 0; i < points.size(); ++i)
   {
     // Averaged at the corners, then linear: smooth over the surface, where stressAt() jumps between elements.
-    const MaterialPoint& point = surface_.points[i];
+    const MaterialPoint& point = points[i];
     Eigen::Vector4d lambda = point.lambda.cwiseMax(0.0);
     lambda /= lambda.sum();
     Stress stress = Stress::Zero();

@@ -99,6 +99,7 @@ TEST_F(SceneTest, DefaultsAreThoseOfTheFormat)
   const Scene scene = parse(MINIMAL);
   EXPECT_EQ(scene.model.file, (folder_ / "body.msh").string());
   EXPECT_FALSE(scene.model.cell_size);
+  EXPECT_EQ(scene.model.refine, 0);
   EXPECT_EQ(scene.model.scale, 1);
   EXPECT_FALSE(scene.model.longest_side);
   EXPECT_EQ(scene.model.xyz, Eigen::Vector3d(0, 0, 0));
@@ -133,7 +134,7 @@ TEST_F(SceneTest, DefaultsAreThoseOfTheFormat)
 TEST_F(SceneTest, ReadsEveryKey)
 {
   const Scene scene = parse(R"(
-model: {file: skin.off, cell_size: 0.08, longest_side: 1.5, pose: {xyz: [1, 2, 3], rpy: [0.1, 0.2, 0.3]}}
+model: {file: skin.off, cell_size: 0.08, refine: 2, longest_side: 1.5, pose: {xyz: [1, 2, 3], rpy: [0.1, 0.2, 0.3]}}
 element: linear
 elasticity: linear
 rotation: corners
@@ -166,6 +167,7 @@ node: {mode: lockstep, publish_rate: 12.5, wrench: {radius: 1, max_distance: 2, 
 )");
   EXPECT_EQ(scene.model.file, (folder_ / "skin.off").string());
   EXPECT_EQ(scene.model.cell_size, 0.08);
+  EXPECT_EQ(scene.model.refine, 2);
   EXPECT_EQ(scene.model.longest_side, 1.5);
   EXPECT_EQ(scene.model.xyz, Eigen::Vector3d(1, 2, 3));
   EXPECT_EQ(scene.model.rpy, Eigen::Vector3d(0.1, 0.2, 0.3));
@@ -300,6 +302,9 @@ TEST_F(SceneTest, RangesHoldAtTheirEnds)
   for (const char* text : {"0", "-3", "2.5", "1e3", "3000000000", "many", "true"})
     expectRefused(std::string("solver.max_iterations=") + text,
                   {"solver.max_iterations is ", "an integer, 1 or above"});
+  EXPECT_EQ(load({"model.refine=4"}).model.refine, 4);
+  for (const char* text : {"-1", "5", "0.5", "[1]"})
+    expectRefused(std::string("model.refine=") + text, {"model.refine is ", "must be an integer from 0 to 4"});
 }
 
 TEST_F(SceneTest, WrongTypesNameKeyValueAndWhatIsAllowed)
