@@ -78,6 +78,7 @@ struct Scene
   {
     std::string file;                               // absolute
     std::optional<double> cell_size;                // m, after scaling; for surfaces
+    std::optional<std::string> sizing;              // absolute path of a CSV file, see sizing.h; in frame_id, at rest
     int refine = 0;                                 // times that every tetrahedron is cut into eight, 0 to 4
     double scale = 1;                               // 1 where longest_side is set
     std::optional<double> longest_side;             // m

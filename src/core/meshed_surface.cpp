@@ -58,7 +58,7 @@ std::string printed(double value)
   return digits.data();
 }
 
-std::string cacheKey(const std::string& surface, double cell_size, double scale)
+std::string cacheKey(const std::string& surface, double cell_size, double scale, const std::vector<SizePoint>& sizing)
 {
   std::uint64_t hash = 0xCBF29CE484222325;  // FNV-1a
   const auto add = [&](const char* bytes, std::size_t count) {
@@ -79,8 +79,10 @@ std::string cacheKey(const std::string& surface, double cell_size, double scale)
   if (!file.eof()) throw InputError(surface + ": cannot be read");
 
   const fs::path path(surface);
-  const std::string rest = "|" + std::to_string(size) + path.extension().string() + "|" + printed(cell_size) + "|" +
-                           printed(scale) + "|" + CACHE_VERSION;
+  std::string rest = "|" + std::to_string(size) + path.extension().string() + "|" + printed(cell_size) + "|" +
+                     printed(scale) + "|" + CACHE_VERSION;
+  for (const auto& [p, wanted] : sizing)
+    rest += "|" + printed(p.x()) + "," + printed(p.y()) + "," + printed(p.z()) + "," + printed(wanted);
   add(rest.data(), rest.size());
   std::array<char, 17> digits;
   std::snprintf(digits.data(), digits.size(), "%016llx", static_cast<unsigned long long>(hash));
@@ -205,12 +207,16 @@ std::string makeModelProgram()
   return program.string();
 }
 
-void makeModel(const std::string& surface, const fs::path& output, double cell_size, double scale, const Log& log)
+/** @param sizing  a file; none where empty */
+void makeModel(const std::string& surface, const fs::path& output, double cell_size, double scale,
+               const std::string& sizing, const Log& log)
 {
   const std::string program = makeModelProgram();
   if (log) log("meshing " + surface + " with cell size " + printed(cell_size) + " m");
-  const Finished run = runProgram(
-      program, {"--cell-size=" + printed(cell_size), "--scale=" + printed(scale), "--", surface, output.string()}, log);
+  std::vector<std::string> arguments{"--cell-size=" + printed(cell_size), "--scale=" + printed(scale)};
+  if (!sizing.empty()) arguments.push_back("--sizing=" + sizing);
+  arguments.insert(arguments.end(), {"--", surface, output.string()});
+  const Finished run = runProgram(program, std::move(arguments), log);
   if (WIFSIGNALED(run.status))
     throw InputError(surface + ": make_model was killed by signal " + std::to_string(WTERMSIG(run.status)) + " (" +
                      strsignal(WTERMSIG(run.status)) + "); cell size " + printed(cell_size) +
@@ -225,9 +231,10 @@ void makeModel(const std::string& surface, const fs::path& output, double cell_s
 
 }  // namespace
 
-std::string meshedSurface(const std::string& surface, double cell_size, double scale, const Log& log)
+std::string meshedSurface(const std::string& surface, double cell_size, double scale,
+                          const std::vector<SizePoint>& sizing, const Log& log)
 {
-  const std::string key = cacheKey(surface, cell_size, scale);
+  const std::string key = cacheKey(surface, cell_size, scale, sizing);
   const fs::path directory = cacheDirectory();
   const fs::path cached = directory / (key + ".msh");
   if (isWhole(cached)) return cached.string();
@@ -243,19 +250,27 @@ std::string meshedSurface(const std::string& surface, double cell_size, double s
     if (errno != EINTR) throw InputError(directory.string() + ": cannot be locked: " + std::strerror(errno));
   if (isWhole(cached)) return cached.string();
 
-  const fs::path fresh = directory / (key + "." + std::to_string(getpid()) + ".msh");
+  const std::string ours = key + "." + std::to_string(getpid());
+  const fs::path fresh = directory / (ours + ".msh"), sizing_file = directory / (ours + ".csv");
+  const auto clear = [&] {
+    fs::remove(fresh, error);
+    fs::remove(sizing_file, error);
+  };
   try
   {
-    makeModel(surface, fresh, cell_size, scale, log);
-    if (cacheKey(surface, cell_size, scale) != key) throw InputError(surface + ": has changed while it was meshed");
+    if (!sizing.empty()) writeSizing(sizing_file.string(), sizing);
+    makeModel(surface, fresh, cell_size, scale, sizing.empty() ? "" : sizing_file.string(), log);
+    if (cacheKey(surface, cell_size, scale, sizing) != key)
+      throw InputError(surface + ": has changed while it was meshed");
     fs::rename(fresh, cached, error);
     if (error) throw InputError(cached.string() + ": cannot be written: " + error.message());
   }
   catch (...)
   {
-    fs::remove(fresh, error);
+    clear();
     throw;
   }
+  clear();
   return cached.string();
 }
 

@@ -337,7 +337,7 @@ Region readRegion(const Map& map, const Names& selectors)
 
 Scene::Model readModel(const Value& value)
 {
-  const Map map(value, {"file", "cell_size", "refine", "scale", "longest_side", "pose"});
+  const Map map(value, {"file", "cell_size", "sizing", "refine", "scale", "longest_side", "pose"});
   Scene::Model model;
   const Value file = map.require("file", "the path of a mesh or surface");
   const bool surface = isSurfaceFile(readText(file, "the path of a mesh or surface"));
@@ -347,6 +347,7 @@ Scene::Model readModel(const Value& value)
   map.get("cell_size", model.cell_size, readNumber, POSITIVE);
   if (surface && !model.cell_size)
     map.require("cell_size", "given for a surface: the size of its tetrahedra in m, for instance cell_size: 0.08");
+  map.get("sizing", model.sizing, readFile);
   map.get("refine", model.refine,
           [](const Value& levels) { return static_cast<int>(readInteger(levels, 0, 4, "an integer from 0 to 4")); });
   map.get("scale", model.scale, readNumber, POSITIVE);

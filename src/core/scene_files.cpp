@@ -2,6 +2,7 @@
 #include <charconv>
 #include <cmath>
 #include <fstream>
+#include <limits>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -9,6 +10,7 @@
 
 #include "bezier_fem/error.h"
 #include "bezier_fem/scene.h"
+#include "bezier_fem/sizing.h"
 #include "yaml_tree.h"
 
 namespace bezier_fem
@@ -92,6 +94,7 @@ void readTable(const std::string& path, std::string_view header, ReadRow readRow
 }
 
 constexpr const char* NUMBER = "a finite number";
+constexpr const char* SIZING_HEADER = "x,y,z,size";
 
 }  // namespace
 
@@ -128,6 +131,30 @@ std::map<std::int64_t, Eigen::Vector3d> readPositions(const std::string& path)
       throw InputError(row.place + ": node " + std::to_string(id) + " is given twice, must be given once");
   });
   return positions;
+}
+
+std::vector<SizePoint> readSizing(const std::string& path)
+{
+  constexpr const char* SIZE = "a finite number above 0";
+  std::vector<SizePoint> points;
+  readTable(path, SIZING_HEADER, [&](const Row& row) {
+    SizePoint& point = points.emplace_back();
+    for (int i = 0; i < 3; ++i) point.position[i] = parse<double>(row, i, std::string_view("xyz").substr(i, 1), NUMBER);
+    point.size = parse<double>(row, 3, "size", SIZE);
+    if (!(point.size > 0))
+      throw InputError(row.place + ": size is '" + excerpt(std::string(row.fields[3])) + "', must be " + SIZE);
+  });
+  return points;
+}
+
+void writeSizing(const std::string& path, const std::vector<SizePoint>& points)
+{
+  std::ofstream file(path);
+  file.precision(std::numeric_limits<double>::max_digits10);
+  file << SIZING_HEADER << '\n';
+  for (const auto& [p, size] : points) file << p.x() << ',' << p.y() << ',' << p.z() << ',' << size << '\n';
+  file.close();
+  if (!file) throw InputError(excerpt(path, std::string::npos) + ": cannot be written");
 }
 
 }  // namespace bezier_fem

@@ -15,6 +15,7 @@
 #include "bezier_fem/mesh_io.h"
 #include "bezier_fem/meshed_surface.h"
 #include "bezier_fem/refine.h"
+#include "bezier_fem/sizing.h"
 #include "bezier_fem/surface_mesh.h"
 #include "region.h"
 
@@ -66,7 +67,10 @@ TetMesh loadMesh(const Scene::Model& model, const Simulation::Log& log, Placemen
   {
     placement.scale = model.scale;
     if (model.longest_side) placement.scale = *model.longest_side / longestSide(readSurfaceMesh(model.file).points);
-    mesh = readTetMesh(meshedSurface(model.file, *model.cell_size, placement.scale, log));
+    std::vector<SizePoint> sizing;
+    if (model.sizing) sizing = readSizing(*model.sizing);
+    for (SizePoint& point : sizing) point.position = placement.T_world_model.inverse() * point.position;
+    mesh = readTetMesh(meshedSurface(model.file, *model.cell_size, placement.scale, sizing, log));
   }
   for (const std::string& warning : mesh.warnings) log(warning);
   Placement{scale_left, placement.T_world_model}.apply(mesh.corners);

@@ -130,7 +130,7 @@ private:
   const Runner& runner_;
   const std::function<void(const std::string&)>& progress_;
   const bool surface_;
-  std::vector<Integrator> integrators_{Integrator::IMPLICIT_EULER};  // the last is the most accurate
+  std::vector<Integrator> integrators_{Integrator::IMPLICIT_EULER, Integrator::AUTO};  // the last is the most accurate
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 
   Tuning result_;
@@ -552,6 +552,10 @@ const char* nameOf(Integrator integrator)
       return "explicit";
     case Integrator::STATIC:
       return "static";
+    case Integrator::AUTO:
+      return "auto";
+    case Integrator::SDIRK2:
+      return "sdirk2";
     default:
       return "implicit_euler";
   }

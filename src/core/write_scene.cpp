@@ -31,7 +31,7 @@ void move(YamlNode* node, const fs::path& from, const fs::path& to)
 void movePaths(YamlNode& root, const fs::path& from, const fs::path& to)
 {
   const std::vector<std::pair<const char*, const char*>> keys{
-      {"model", "file"}, {"initial", "positions"}, {"surface", "file"}};
+      {"model", "file"}, {"model", "sizing"}, {"initial", "positions"}, {"surface", "file"}};
   for (const auto& [map, key] : keys)
   {
     if (YamlNode* node = find(root, map)) move(find(*node, key), from, to);

@@ -26,6 +26,7 @@
 #include <CGAL/Polygon_mesh_processing/self_intersections.h>
 #include <CGAL/Polyhedral_mesh_domain_with_features_3.h>
 #include <CGAL/Random.h>
+#include <CGAL/Side_of_triangle_mesh.h>
 #include <CGAL/Surface_mesh.h>
 #include <CGAL/make_mesh_3.h>
 #include <unistd.h>
@@ -49,9 +50,11 @@
 #include <vector>
 
 #include "bezier_fem/error.h"
+#include "bezier_fem/sizing.h"
 #include "bezier_fem/surface_mesh.h"
 #include "mesh_checks.h"
 #include "msh_writer.h"
+#include "sizing_field.h"
 #include "volume_fit.h"
 
 namespace make_model
@@ -63,6 +66,7 @@ using bezier_fem::InputError;
 using Kernel = CGAL::Exact_predicates_inexact_constructions_kernel;
 using Point = Kernel::Point_3;
 using Surface = CGAL::Surface_mesh<Point>;
+using SurfaceTree = CGAL::AABB_tree<CGAL::AABB_traits<Kernel, CGAL::AABB_face_graph_triangle_primitive<Surface>>>;
 using Domain = CGAL::Polyhedral_mesh_domain_with_features_3<Kernel, Surface>;
 using Triangulation = CGAL::Mesh_triangulation_3<Domain>::type;
 using Complex = CGAL::Mesh_complex_3_in_triangulation_3<Triangulation, Domain::Corner_index, Domain::Curve_index>;
@@ -71,7 +75,8 @@ using Criteria = CGAL::Mesh_criteria_3<Triangulation>;
 struct Options
 {
   std::string surface, output;
-  double cell_size = 0;  // m, after scaling
+  double cell_size = 0;               // m, after scaling
+  std::optional<std::string> sizing;  // a file
   std::optional<double> scale, longest_side, density;
 };
 
@@ -405,6 +410,47 @@ constexpr double SPECK = 1e-4;           // times the cell size: refinement that
 constexpr double NOTABLE_VOLUME = 5;     // per cent more or less than the surface's: worth a warning
 constexpr double LOST_VOLUME = 25;       // the same: not this solid any more
 
+Eigen::Vector3d toEigen(const Point& p)
+{
+  return {p.x(), p.y(), p.z()};
+}
+
+/** What decides on the number of elements: the integral of 1/h^3 over a solid and that of 1/h^2 over its surface. */
+struct Amount
+{
+  double solid, surface;  // no more than some MOST_ELEMENTS, where the size h differs from place to place
+};
+
+Amount amountOf(const Solid& solid, const ScaledField& sizes)
+{
+  if (sizes.field.isUniform())
+  {
+    const double h = sizes(Eigen::Vector3d::Zero());
+    return {solid.volume / (h * h * h), solid.area / (h * h)};
+  }
+  Amount amount{0, 0};
+  for (const auto face : solid.surface.faces())
+  {
+    Eigen::Matrix3d corners;
+    Eigen::Index i = 0;
+    for (const auto v : solid.surface.vertices_around_face(solid.surface.halfedge(face)))
+      corners.col(i++) = toEigen(solid.surface.point(v));
+    amount.surface += integralOverTriangle(sizes, corners, MOST_ELEMENTS - amount.surface);
+    if (amount.surface > MOST_ELEMENTS) return amount;
+  }
+  const SurfaceTree tree(solid.surface.faces_begin(), solid.surface.faces_end(), solid.surface);
+  const CGAL::Side_of_triangle_mesh<Surface, Kernel> side(solid.surface);
+  const auto depth = [&](const Eigen::Vector3d& p) {
+    const Point point(p.x(), p.y(), p.z());
+    return (side(point) == CGAL::ON_UNBOUNDED_SIDE ? -1 : 1) * std::sqrt(tree.squared_distance(point));
+  };
+  const CGAL::Bbox_3& box = solid.box;
+  const Eigen::AlignedBox3d around(Eigen::Vector3d(box.xmin(), box.ymin(), box.zmin()),
+                                   Eigen::Vector3d(box.xmax(), box.ymax(), box.zmax()));
+  amount.solid = integralOverSolid(sizes, around, depth, MOST_ELEMENTS);
+  return amount;
+}
+
 /** Points of each shell, as far from one another as they go: every piece and limb gets some, however small. */
 std::vector<Point> seeds(const Solid& solid, double spacing)
 {
@@ -464,6 +510,17 @@ struct Style
 };
 constexpr Style SHARP{true, false}, ROUNDED{false, true}, SHARP_AND_MANIFOLD{true, true};
 
+/** A share of the cell size, as CGAL asks for it. */
+struct SizeCriterion
+{
+  double share;
+  ScaledField sizes;
+  double operator()(const Point& p, int /*dimension*/, const Triangulation::Vertex::Index& /*index*/) const
+  {
+    return share * sizes(toEigen(p));
+  }
+};
+
 /** No criterion to be met: notes whether refinement has come to edges of triangles shorter than `length`. */
 class SpeckDetector : public Criteria::Facet_criteria::Abstract_criterion
 {
@@ -494,9 +551,10 @@ private:
 class Mesher
 {
 public:
-  Mesher(const Solid& solid, double cell_size, Style style, const Progress& progress)
+  Mesher(const Solid& solid, const ScaledField& sizes, Style style, const Progress& progress)
       : solid_(solid),
-        cell_size_(cell_size),
+        sizes_(sizes),
+        cell_size_(sizes.factor * sizes.field.largest()),
         style_(style),
         progress_(progress),
         random_(0),
@@ -565,16 +623,17 @@ private:
   {
     namespace P = CGAL::parameters;
     CGAL::get_default_random() = CGAL::Random(0);
-    Criteria criteria(P::edge_size = cell_size_, P::facet_angle = FACET_ANGLE, P::facet_size = FACET_SIZE * cell_size_,
-                      P::facet_distance = FACET_DISTANCE * cell_size_, P::cell_radius_edge_ratio = RADIUS_EDGE_RATIO,
-                      P::cell_size = cell_size_);
+    const auto size = [&](double share) { return SizeCriterion{share, sizes_}; };
+    Criteria criteria(P::edge_size = size(1), P::facet_angle = FACET_ANGLE, P::facet_size = size(FACET_SIZE),
+                      P::facet_distance = size(FACET_DISTANCE), P::cell_radius_edge_ratio = RADIUS_EDGE_RATIO,
+                      P::cell_size = size(1));
     auto result = std::make_unique<Refined>();
     Complex& complex = result->complex;
     if (style_.keep_sharp)
       CGAL::Mesh_3::internal::init_c3t3_with_features(complex, domain_, criteria, false, most_nodes_);
     insertSeeds(complex);
     bool has_speck = false;
-    criteria.add_facet_criterion(new SpeckDetector(SPECK * cell_size_, has_speck));
+    criteria.add_facet_criterion(new SpeckDetector(SPECK * sizes_.factor * sizes_.field.smallest(), has_speck));
     gave_up_ = !finishes(complex, criteria, has_speck);
     if (gave_up_ || complex.number_of_cells_in_complex() == 0) return nullptr;
     result->topology = findTopology(extract(complex));
@@ -612,9 +671,10 @@ private:
   std::size_t sensibleNodes() const
   {
     // Thin solids are meshed as fine as they are thin.
-    const double thickness = 2 * solid_.volume / solid_.area, edge = std::min(cell_size_, thickness);
-    const double expected = solid_.volume / (edge * edge * edge) + solid_.area / (edge * edge);
-    return static_cast<std::size_t>(std::min(MOST_NODES * expected + FREE_NODES, MOST_ELEMENTS));
+    const double thickness = 2 * solid_.volume / solid_.area;
+    const Amount expected = amountOf(solid_, {sizes_.field, sizes_.factor, thickness});
+    return static_cast<std::size_t>(
+        std::min(MOST_NODES * (expected.solid + expected.surface) + FREE_NODES, MOST_ELEMENTS));
   }
 
   void insertSeeds(Complex& complex) const
@@ -635,7 +695,8 @@ private:
   }
 
   const Solid& solid_;
-  const double cell_size_;
+  const ScaledField sizes_;
+  const double cell_size_;  // the largest
   const Style style_;
   const Progress& progress_;
   std::size_t most_nodes_ = 0;
@@ -652,11 +713,21 @@ bool hasSharpEdges(Surface surface)
   return std::any_of(surface.edges_begin(), surface.edges_end(), [&](Surface::Edge_index e) { return get(sharp, e); });
 }
 
-void refuseTooFine(const Options& options, const Solid& solid)
+void refuseTooFine(const Options& options, const Solid& solid, const SizingField& sizes)
 {
   // What the criteria above give for a compact and for a thin body, within some tens of per cent.
-  const auto expected = [&](double h) { return 5 * solid.volume / (h * h * h) + 1.5 * solid.area / (h * h); };
-  if (expected(options.cell_size) < MOST_ELEMENTS) return;
+  const auto elements = [&](const SizingField& field) {
+    const Amount amount = amountOf(solid, {field});
+    return 5 * amount.solid + 1.5 * amount.surface;
+  };
+  const auto expected = [&](double h) { return elements(SizingField(h)); };
+  if (expected(options.cell_size) < MOST_ELEMENTS)
+  {
+    if (sizes.isUniform() || elements(sizes) < MOST_ELEMENTS) return;
+    throw InputError(options.surface + text(": the sizing, down to %.3g m, asks for more than %.0g elements; larger "
+                                            "sizes, or small ones in fewer places, make fewer",
+                                            sizes.smallest(), MOST_ELEMENTS));
+  }
   double h = options.cell_size;
   while (expected(h) > MOST_ELEMENTS) h *= 1.1;
   throw InputError(options.surface + text(": cell size %g m is too small for a longest side of %.4g m: about %.1g "
@@ -667,13 +738,11 @@ void refuseTooFine(const Options& options, const Solid& solid)
 
 void fitTo(const Solid& solid, double cell_size, Model& model)
 {
-  using Primitive = CGAL::AABB_face_graph_triangle_primitive<Surface>;
-  CGAL::AABB_tree<CGAL::AABB_traits<Kernel, Primitive>> tree(solid.surface.faces_begin(), solid.surface.faces_end(),
-                                                             solid.surface);
+  const SurfaceTree tree(solid.surface.faces_begin(), solid.surface.faces_end(), solid.surface);
   const auto closest = [&](const Eigen::Vector3d& p) {
     const auto [q, face] = tree.closest_point_and_primitive(Point(p.x(), p.y(), p.z()));
     const auto n = PMP::compute_face_normal(face, solid.surface);
-    return std::make_pair(Eigen::Vector3d(q.x(), q.y(), q.z()), Eigen::Vector3d(n.x(), n.y(), n.z()));
+    return std::make_pair(toEigen(q), Eigen::Vector3d(n.x(), n.y(), n.z()));
   };
   fitVolume(model.mesh, model.topology.boundary, closest, FACET_DISTANCE * cell_size, SLIVER);
   model.quality = measureQuality(model.mesh);
@@ -690,7 +759,16 @@ int handles(int shells, int euler)
   return shells - euler / 2;
 }
 
-void checkAgainst(const Options& options, const Solid& solid, const std::optional<Model>& model, Remarks& remarks)
+/** Over the tetrahedra. */
+double meanSize(const SizingField& sizes, const Tets& mesh)
+{
+  double sum = 0;
+  for (const auto& tet : mesh.tets.colwise()) sum += sizes(mesh.points(Eigen::all, tet).rowwise().mean());
+  return sum / static_cast<double>(mesh.tets.cols());
+}
+
+void checkAgainst(const Options& options, const Solid& solid, const SizingField& sizes,
+                  const std::optional<Model>& model, Remarks& remarks)
 {
   const double h = options.cell_size;
   const std::string& file = options.surface;
@@ -716,8 +794,8 @@ void checkAgainst(const Options& options, const Solid& solid, const std::optiona
               handles(shells, solid.euler), handles(topology.shells, topology.euler), h));
   if (std::abs(excess) > NOTABLE_VOLUME)
     warn(text("cell size %g m is coarse: the volume is off by %+.1f %%", h, excess));
-  if (model->quality.mean_edge < 0.4 * h)
-    warn(text("is thinner than the cell size %g m: the elements are smaller, their mean edge is %.3g m", h,
+  if (const double size = meanSize(sizes, model->mesh); model->quality.mean_edge < 0.4 * size)
+    warn(text("is thinner than the cell size %g m: the elements are smaller, their mean edge is %.3g m", size,
               model->quality.mean_edge));
 }
 
@@ -734,14 +812,14 @@ int eulerOff(const Solid& solid, const Topology& topology)
 }
 
 /** Where an element stays flat, a slightly smaller cell size leads to another mesh; the best of three is taken. */
-std::optional<Model> bestMesh(const Solid& solid, double cell_size, Style style, const Yardstick& limit,
+std::optional<Model> bestMesh(const Solid& solid, const SizingField& sizes, Style style, const Yardstick& limit,
                               const Progress& progress)
 {
   std::optional<Model> best;
   std::pair<bool, double> best_score(false, -1);
   for (const double factor : {1., 0.97, 0.94})
   {
-    Mesher mesher(solid, factor * cell_size, style, progress);
+    Mesher mesher(solid, {sizes, factor}, style, progress);
     auto refined = mesher.refined(limit.most_elements / 2);  // with more nodes it has more elements
     if (mesher.gaveUp()) break;
     if (!refined || eulerOff(solid, refined->topology) > limit.most_euler_off) continue;
@@ -756,25 +834,26 @@ std::optional<Model> bestMesh(const Solid& solid, double cell_size, Style style,
   return best;
 }
 
-Model meshSolid(const Options& options, const Solid& solid, Remarks& remarks, const Progress& progress)
+Model meshSolid(const Options& options, const Solid& solid, const SizingField& sizes, Remarks& remarks,
+                const Progress& progress)
 {
-  const double h = options.cell_size;
-  refuseTooFine(options, solid);
+  refuseTooFine(options, solid, sizes);
   std::optional<Model> model;
   if (hasSharpEdges(solid.surface))
   {
     Yardstick limit{SHARP_ALONE, INT_MAX};
-    if (const auto rounded = Mesher(solid, h, ROUNDED, progress).refined())
+    if (const auto rounded = Mesher(solid, {sizes}, ROUNDED, progress).refined())
       limit = {SHARP_WORTH * rounded->complex.number_of_cells_in_complex(), eulerOff(solid, rounded->topology)};
-    model = bestMesh(solid, h, SHARP, limit, progress);
+    model = bestMesh(solid, sizes, SHARP, limit, progress);
     if (model && (model->topology.bodies != solid.bodies || model->quality.smallest_dihedral < SHARP_DIHEDRAL))
       model.reset();
   }
-  if (!model) model = bestMesh(solid, h, ROUNDED, {}, progress);
-  if (!model) model = bestMesh(solid, h, SHARP_AND_MANIFOLD, {}, progress);  // thin wedges, however flat the elements
+  if (!model) model = bestMesh(solid, sizes, ROUNDED, {}, progress);
+  if (!model)
+    model = bestMesh(solid, sizes, SHARP_AND_MANIFOLD, {}, progress);  // thin wedges, however flat the elements
   progress.show("fitting the volume ...");
-  if (model) fitTo(solid, h, *model);
-  checkAgainst(options, solid, model, remarks);
+  if (model) fitTo(solid, options.cell_size, *model);
+  checkAgainst(options, solid, sizes, model, remarks);
   return *std::move(model);
 }
 
@@ -827,11 +906,13 @@ void run(const Options& options)
 {
   const auto start = std::chrono::steady_clock::now();
   checkOptions(options);
+  const SizingField sizes(options.cell_size, options.sizing ? bezier_fem::readSizing(*options.sizing)
+                                                            : std::vector<bezier_fem::SizePoint>());
   Remarks remarks;
   const auto progress = std::make_unique<Progress>();
   progress->show("checking the surface ...");
   const Solid solid = readSolid(options, remarks);
-  const Model model = meshSolid(options, solid, remarks, *progress);
+  const Model model = meshSolid(options, solid, sizes, remarks, *progress);
   writeMsh(options.output, model.mesh, model.topology);
   progress->show("");
   report(options, solid, model, remarks,
@@ -871,6 +952,11 @@ int main(int argc, char** argv)
                  "Largest circumradius of a tetrahedron, in m after scaling; edges come out about as long")
       ->required()
       ->type_name("H");
+  app.add_option(
+         "--sizing", options.sizing,
+         "CSV x,y,z,size: smaller cell sizes at points, m in OUT.msh's coordinates; in between the size grows by\n"
+         "0.3 m each m, up to H")
+      ->type_name("FILE.csv");
   auto* scale = app.add_option("--scale", options.scale, "Factor from the file's coordinates to m (millimetres: 0.001)")
                     ->type_name("S");
   app.add_option("--longest-side", options.longest_side, "Scales so that the longest side of the bounding box is L m")

@@ -400,19 +400,168 @@ TEST(MakeModel, RefusesCellSizesThatCannotWork)
   }
 }
 
+using Sizes = std::vector<std::pair<Eigen::Vector3d, double>>;
+
+std::string sizingText(const Sizes& sizes)
+{
+  std::ostringstream text;
+  text << "x,y,z,size\n";
+  for (const auto& [p, size] : sizes) text << p.x() << "," << p.y() << "," << p.z() << "," << size << "\n";
+  return text.str();
+}
+
+/** The size that is asked for at a point. */
+double gradedSize(const Sizes& sizes, double cell_size, const Eigen::Vector3d& at)
+{
+  double least = cell_size;
+  for (const auto& [p, size] : sizes) least = std::min(least, size + 0.3 * (at - p).norm());
+  return least;
+}
+
+TEST(MakeModel, ASizingGradesTheMesh)
+{
+  const TemporaryDirectory directory;
+  const Shape ball = sphere(4);
+  const double volume = enclosedVolume(readSurfaceMesh(directory.write("ball.off", offText(ball))));
+  const double coarse = 0.4, fine = 0.1;
+  // One place on the surface, one inside, and a crowd of points that ask for nothing there that these do not.
+  Sizes sizes{{{0, 0.9, 0}, fine}, {{-0.4, -0.4, 0}, 1.5 * fine}};
+  for (int i = 0; i < 1000; ++i) sizes.push_back({{std::sin(i), 0.7 * std::sin(3.7 * i), std::sin(5.3 * i)}, 0.9});
+  for (int i = 0; i < 100; ++i)
+  {
+    const Eigen::Vector3d at(0.2 * std::sin(i), 0.9 + 0.2 * std::sin(2.3 * i), 0.2 * std::sin(4.1 * i));
+    sizes.push_back({at, gradedSize({sizes[0]}, coarse, at)});
+  }
+  directory.write("sizes.csv", sizingText(sizes));
+
+  std::map<std::string, std::size_t> tets;
+  for (const auto& [name, arguments] : std::map<std::string, std::string>{{"fine", "0.1"},
+                                                                          {"coarse", "0.4"},
+                                                                          {"graded", "0.4 --sizing sizes.csv"},
+                                                                          {"again", "0.4 --sizing sizes.csv"}})
+  {
+    const Result run = makeModel(directory, "ball.off " + name + ".msh --cell-size " + arguments);
+    ASSERT_EQ(run.status, 0) << run.err;
+    EXPECT_EQ(run.err, "");
+    const Msh mesh(directory / name + ".msh");
+    expectSound(mesh);
+    EXPECT_EQ(mesh.eulerCharacteristic(), 2);
+    EXPECT_NEAR(mesh.volume() / volume, 1, 0.005);
+    tets[name] = mesh.tets.size();
+  }
+  EXPECT_EQ(contentOf(directory / "graded.msh"), contentOf(directory / "again.msh"));
+  EXPECT_GT(tets["graded"], 1.5 * tets["coarse"]);
+  EXPECT_LT(tets["graded"], 0.2 * tets["fine"]);
+
+  // Edges have the same length in terms of the size asked for as in a uniform mesh, in every band of sizes.
+  const auto ratios = [&](const std::string& name, const Sizes& asked, double cell_size) {
+    const Msh mesh(directory / name);
+    std::array<double, 3> sum{}, count{};
+    for (const auto& v : mesh.tets)
+    {
+      double edge = 0;
+      for (int i = 0; i < 4; ++i)
+        for (int j = i + 1; j < 4; ++j) edge += (mesh.points[v[i]] - mesh.points[v[j]]).norm() / 6;
+      const double wanted = gradedSize(
+          asked, cell_size, (mesh.points[v[0]] + mesh.points[v[1]] + mesh.points[v[2]] + mesh.points[v[3]]) / 4);
+      const auto band = static_cast<std::size_t>(std::min(2., std::log(wanted / fine) / std::log(coarse / fine) * 3));
+      sum[band] += edge / wanted;
+      ++count[band];
+    }
+    for (std::size_t band = 0; band < 3; ++band) sum[band] /= count[band];
+    return sum;
+  };
+  const double uniform = ratios("fine.msh", {}, fine)[0];
+  for (const double ratio : ratios("graded.msh", sizes, coarse)) EXPECT_NEAR(ratio / uniform, 1, 0.12);
+}
+
+TEST(MakeModel, ASizingKeepsSharpEdges)
+{
+  const TemporaryDirectory directory;
+  directory.write("cube.off", offText(cube()));
+  const Sizes sizes{{{0, 0, 0}, 0.04}, {{1, 1, 0.5}, 0.06}};
+  directory.write("sizes.csv", sizingText(sizes));
+  const Result run = makeModel(directory, "cube.off cube.msh --cell-size 0.3 --sizing sizes.csv");
+  ASSERT_EQ(run.status, 0) << run.err;
+  const Msh mesh(directory / "cube.msh");
+  expectSound(mesh);
+  EXPECT_NEAR(mesh.volume(), 1, 1e-12);
+  EXPECT_EQ(mesh.eulerCharacteristic(), 2);
+  EXPECT_GT(std::count_if(mesh.points.begin(), mesh.points.end(), [](const auto& p) { return p.norm() < 0.1; }), 8);
+  EXPECT_LE(std::count_if(mesh.points.begin(), mesh.points.end(),
+                          [](const auto& p) { return (p - Eigen::Vector3d(0, 1, 1)).norm() < 0.1; }),
+            1);
+}
+
+TEST(MakeModel, ASizingThatAsksForNoSmallerElementsChangesNothing)
+{
+  const TemporaryDirectory directory;
+  directory.write("ball.off", offText(sphere(3)));
+  directory.write("sizes.csv", sizingText({{{0, 0, 0}, 0.3}, {{1, 0, 0}, 5}}));
+  ASSERT_EQ(makeModel(directory, "ball.off a.msh --cell-size 0.3").status, 0);
+  ASSERT_EQ(makeModel(directory, "ball.off b.msh --cell-size 0.3 --sizing sizes.csv").status, 0);
+  EXPECT_EQ(contentOf(directory / "a.msh"), contentOf(directory / "b.msh"));
+}
+
+// Far from it a sizing may be as fine as it likes; one point costs little, many of them are refused in time.
+TEST(MakeModel, RefusesASizingThatMakesTooManyElements)
+{
+  const TemporaryDirectory directory;
+  directory.write("ball.off", offText(sphere(3)));
+  const std::string run_it = "ball.off ball.msh --cell-size 0.5 --sizing sizes.csv";
+  Sizes inside, outside;
+  for (int i = 0; i < 1000; ++i)
+  {
+    const Eigen::Vector3d p(std::sin(i), std::sin(3.7 * i), std::sin(5.3 * i));
+    inside.push_back({0.5 * p, 1e-6});
+    outside.push_back({p + Eigen::Vector3d(8, 0, 0), 1e-6});
+  }
+  directory.write("sizes.csv", sizingText(inside));
+  Result run = makeModel(directory, run_it);
+  EXPECT_EQ(run.status, 2);
+  EXPECT_EQ(linesOf(run.err), 1) << run.err;
+  EXPECT_NE(run.err.find("ball.off: the sizing, down to 1e-06 m, asks for more than 5e+06 elements"), run.err.npos)
+      << run.err;
+  directory.write("sizes.csv", sizingText(outside));
+  run = makeModel(directory, run_it);
+  EXPECT_EQ(run.status, 0) << run.err;
+  const Msh far(directory / "ball.msh");
+  directory.write("sizes.csv", sizingText({{{0.3, 0.2, 0}, 1e-3}}));
+  run = makeModel(directory, run_it);
+  EXPECT_EQ(run.status, 0) << run.err;
+  const Msh point(directory / "ball.msh");
+  expectSound(point);
+  EXPECT_LT(point.tets.size(), far.tets.size() + 20000);
+}
+
 TEST(MakeModel, RefusesWrongArgumentsInOneLine)
 {
   const TemporaryDirectory directory;
   directory.write("cube.off", offText(cube()));
   directory.write("junk.stl", "not a surface at all");
-  for (const std::string arguments :
-       {"", "cube.off", "cube.off a.msh", "cube.off a.msh --cell-size", "cube.off a.msh --cell-size x",
-        "cube.off a.msh --cell-size 0", "cube.off a.msh --cell-size=-1", "cube.off a.msh --cell-size nan",
-        "cube.off a.msh --cell-size inf", "cube.off a.msh --cell-size 0.3 --scale 0",
-        "cube.off a.msh b --cell-size 0.3", "cube.off a.msh --cell-size 0.3 --scale 2 --longest-side 1",
-        "cube.off a.msh --cell-size 0.3 --density -5", "cube.off a.msh --cell-size 0.3 --colour red",
-        "cube.off a.vtk --cell-size 0.3", "cube.off nowhere/a.msh --cell-size 0.3", "missing.off a.msh --cell-size 0.3",
-        ". a.msh --cell-size 0.3", "junk.stl a.msh --cell-size 0.3"})
+  directory.write("zero.csv", "x,y,z,size\n0,0,0,0\n");
+  for (const std::string arguments : {"",
+                                      "cube.off",
+                                      "cube.off a.msh",
+                                      "cube.off a.msh --cell-size",
+                                      "cube.off a.msh --cell-size x",
+                                      "cube.off a.msh --cell-size 0",
+                                      "cube.off a.msh --cell-size=-1",
+                                      "cube.off a.msh --cell-size nan",
+                                      "cube.off a.msh --cell-size inf",
+                                      "cube.off a.msh --cell-size 0.3 --scale 0",
+                                      "cube.off a.msh b --cell-size 0.3",
+                                      "cube.off a.msh --cell-size 0.3 --scale 2 --longest-side 1",
+                                      "cube.off a.msh --cell-size 0.3 --density -5",
+                                      "cube.off a.msh --cell-size 0.3 --colour red",
+                                      "cube.off a.vtk --cell-size 0.3",
+                                      "cube.off nowhere/a.msh --cell-size 0.3",
+                                      "missing.off a.msh --cell-size 0.3",
+                                      ". a.msh --cell-size 0.3",
+                                      "junk.stl a.msh --cell-size 0.3",
+                                      "cube.off a.msh --cell-size 0.3 --sizing",
+                                      "cube.off a.msh --cell-size 0.3 --sizing missing.csv",
+                                      "cube.off a.msh --cell-size 0.3 --sizing zero.csv"})
   {
     const Result run = makeModel(directory, arguments);
     EXPECT_EQ(run.status, 2) << arguments;
@@ -429,7 +578,7 @@ TEST(MakeModel, HelpNamesOptionsAndUnits)
   EXPECT_EQ(run.status, 0);
   EXPECT_EQ(run.err, "");
   for (const std::string word :
-       {"SURFACE", "OUT.msh", "--cell-size", "--scale", "--longest-side", "--density", "kg/m3", " m "})
+       {"SURFACE", "OUT.msh", "--cell-size", "--scale", "--longest-side", "--density", "--sizing", "kg/m3", " m "})
     EXPECT_NE(run.out.find(word), run.out.npos) << word;
 }
 

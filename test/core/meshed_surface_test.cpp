@@ -8,6 +8,7 @@
 #include <set>
 
 #include "bezier_fem/error.h"
+#include "bezier_fem/simulation.h"
 #include "core/surface_fixtures.h"
 
 namespace bezier_fem
@@ -25,10 +26,10 @@ protected:
     ball_ = directory_.write("ball.off", offText(sphere(3)));
   }
 
-  std::string mesh(double cell_size = 0.5, double scale = 1)
+  std::string mesh(double cell_size = 0.5, double scale = 1, const std::vector<SizePoint>& sizing = {})
   {
     log_.clear();
-    return meshedSurface(ball_, cell_size, scale, [this](const std::string& line) { log_.push_back(line); });
+    return meshedSurface(ball_, cell_size, scale, sizing, [this](const std::string& line) { log_.push_back(line); });
   }
 
   /** The message of the InputError that mesh() throws. */
@@ -90,6 +91,43 @@ TEST_F(MeshedSurface, ScalesTheSurface)
     return found;
   };
   EXPECT_NEAR(largest(mesh(5e-4, 1e-3)), 1e-3, 1e-4);
+}
+
+TEST_F(MeshedSurface, GradesAndRemembersWhatItGraded)
+{
+  const SizePoint top{{0, 0, 1}, 0.2}, side{{1, 0, 0}, 0.2};
+  const std::string plain = mesh(), graded = mesh(0.5, 1, {top});
+  EXPECT_GT(fs::file_size(graded), fs::file_size(plain));
+  EXPECT_EQ(mesh(0.5, 1, {top}), graded);
+  EXPECT_TRUE(log_.empty());
+  EXPECT_EQ((std::set<std::string>{plain, graded, mesh(0.5, 1, {side}), mesh(0.5, 1, {top, side}),
+                                   mesh(0.5, 1, {{top.position, 0.21}})}
+                 .size()),
+            5u);
+  for (const auto& entry : fs::directory_iterator(directory_ / "cache/bezier_fem"))
+    EXPECT_NE(entry.path().extension(), ".csv") << entry.path();
+}
+
+// In a scene a sizing is given in the world, as regions and probes are: the same place, however the body is posed.
+TEST_F(MeshedSurface, ASceneSizesInItsWorld)
+{
+  const auto pointsNear = [&](const Eigen::Vector3d& place, double x, double y, double z) {
+    writeSizing(directory_ / "sizes.csv", {{{x, y, z}, 0.2}});
+    const Scene scene = parseScene(
+        "model: {file: ball.off, cell_size: 1, sizing: sizes.csv, scale: 2, "
+        "pose: {xyz: [10, 0, 0], rpy: [0, 0, 1.5707963267948966]}}\n"
+        "element: linear\nmaterial: {young: 1, poisson: 0, density: 1}",
+        directory_ / "", "test");
+    const Simulation simulation(scene, 1, [](const std::string&) {});
+    int count = 0;
+    for (int i = 0; i < simulation.model().num_nodes; ++i)
+      count += (simulation.model().rest[i] - place).norm() < 0.5;
+    return count;
+  };
+  const Eigen::Vector3d left(10, 2, 0);  // the surface's (1, 0, 0), scaled and turned
+  EXPECT_GT(pointsNear(left, 10, 2, 0), 10);
+  EXPECT_LT(pointsNear(left, 10, -2, 0), 5);
+  EXPECT_LT(pointsNear(left, 2, 0, 0), 5);
 }
 
 TEST_F(MeshedSurface, HandsOnWarnings)
@@ -222,7 +260,7 @@ int main(int argc, char** argv)
   {
     try
     {
-      bezier_fem::meshedSurface(surface, 0.5, 1, {});
+      bezier_fem::meshedSurface(surface, 0.5, 1, {}, {});
     }
     catch (const bezier_fem::InputError& error)
     {

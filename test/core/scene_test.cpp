@@ -10,6 +10,7 @@
 #include <sstream>
 
 #include "bezier_fem/error.h"
+#include "bezier_fem/sizing.h"
 
 namespace bezier_fem
 {
@@ -32,6 +33,7 @@ protected:
     write("skin.off", "");
     write("hand.csv", "");
     write("start.csv", "");
+    write("sizes.csv", "");
   }
   void TearDown() override { fs::remove_all(folder_); }
 
@@ -100,6 +102,7 @@ TEST_F(SceneTest, DefaultsAreThoseOfTheFormat)
   EXPECT_EQ(scene.model.file, (folder_ / "body.msh").string());
   EXPECT_FALSE(scene.model.cell_size);
   EXPECT_EQ(scene.model.refine, 0);
+  EXPECT_FALSE(scene.model.sizing);
   EXPECT_EQ(scene.model.scale, 1);
   EXPECT_FALSE(scene.model.longest_side);
   EXPECT_EQ(scene.model.xyz, Eigen::Vector3d(0, 0, 0));
@@ -134,7 +137,9 @@ TEST_F(SceneTest, DefaultsAreThoseOfTheFormat)
 TEST_F(SceneTest, ReadsEveryKey)
 {
   const Scene scene = parse(R"(
-model: {file: skin.off, cell_size: 0.08, refine: 2, longest_side: 1.5, pose: {xyz: [1, 2, 3], rpy: [0.1, 0.2, 0.3]}}
+model:
+  {file: skin.off, cell_size: 0.08, sizing: sizes.csv, refine: 2, longest_side: 1.5,
+   pose: {xyz: [1, 2, 3], rpy: [0.1, 0.2, 0.3]}}
 element: linear
 elasticity: linear
 rotation: corners
@@ -168,6 +173,7 @@ node: {mode: lockstep, publish_rate: 12.5, wrench: {radius: 1, max_distance: 2, 
   EXPECT_EQ(scene.model.file, (folder_ / "skin.off").string());
   EXPECT_EQ(scene.model.cell_size, 0.08);
   EXPECT_EQ(scene.model.refine, 2);
+  EXPECT_EQ(scene.model.sizing, (folder_ / "sizes.csv").string());
   EXPECT_EQ(scene.model.longest_side, 1.5);
   EXPECT_EQ(scene.model.xyz, Eigen::Vector3d(1, 2, 3));
   EXPECT_EQ(scene.model.rpy, Eigen::Vector3d(0.1, 0.2, 0.3));
@@ -401,6 +407,9 @@ TEST_F(SceneTest, ModelCombinations)
   expectRefused("model.file=gone.msh", {"model.file is gone.msh", (folder_ / "gone.msh").string() + " is not a file"});
   expectRefused("model.file=5", {"model.file is 5"});
   expectRefused("surface.file=body.msh", {"surface.file is body.msh", ".off .obj .stl .ply"});
+  expectRefused("model={file: skin.off, cell_size: 0.1, sizing: gone.csv}",
+                {"model.sizing is gone.csv", (folder_ / "gone.csv").string() + " is not a file"});
+  expectRefused("model={file: skin.off, cell_size: 0.1, sizing: 0.05}", {"model.sizing is 0.05", "path of a file"});
   expectRefused("surface.file=gone.off", {"surface.file is gone.off", (folder_ / "gone.off").string()});
   expectRefused("initial.positions=gone.csv", {"initial.positions is gone.csv", (folder_ / "gone.csv").string()});
   fs::create_directory(folder_ / "folder.msh");
@@ -759,6 +768,37 @@ TEST_F(SceneTest, ReadsPositions)
             std::string::npos);
   EXPECT_NE(error("time,node,x,y,z\n0,1,0,0,0\n").find("start.csv:1: "), std::string::npos);
   EXPECT_NE(error("node,x,y,z\n").find("start.csv: has no row"), std::string::npos);
+}
+
+TEST_F(SceneTest, ReadsAndWritesSizing)
+{
+  const auto points = readSizing(write("sizes.csv", "x,y,z,size\n1,-2,3,0.05\n1,-2,3,1e-3\n"));
+  ASSERT_EQ(points.size(), 2u);
+  EXPECT_EQ(points[0].position, Eigen::Vector3d(1, -2, 3));
+  EXPECT_EQ(points[0].size, 0.05);
+  const std::vector<SizePoint> odd{{{1. / 3, -1e-300, 2e20}, 0.1 + 0.2}};
+  writeSizing((folder_ / "sizes.csv").string(), odd);
+  const auto back = readSizing((folder_ / "sizes.csv").string());
+  ASSERT_EQ(back.size(), 1u);
+  EXPECT_EQ(back[0].position, odd[0].position);
+  EXPECT_EQ(back[0].size, odd[0].size);
+  EXPECT_NE(errorOf([&] { writeSizing((folder_ / "nowhere/sizes.csv").string(), odd); }).find("cannot be written"),
+            std::string::npos);
+
+  const std::pair<std::string, std::string> cases[] = {
+      {"", "sizes.csv: cannot be read, or is empty"},
+      {"x,y,z\n0,0,0\n", "sizes.csv:1: the header is 'x,y,z', must be x,y,z,size"},
+      {"x,y,z,size\n", "sizes.csv: has no row"},
+      {"x,y,z,size\n0,0,0\n", "sizes.csv:2: '0,0,0' has 3 fields"},
+      {"x,y,z,size\n0,0,0,1\n0,nan,0,1\n", "sizes.csv:3: y is 'nan', must be a finite number"},
+      {"x,y,z,size\n0,0,0,inf\n", "sizes.csv:2: size is 'inf', must be a finite number above 0"},
+      {"x,y,z,size\n0,0,0,0\n", "sizes.csv:2: size is '0', must be a finite number above 0"},
+      {"x,y,z,size\n0,0,0,-0.1\n", "sizes.csv:2: size is '-0.1', must be a finite number above 0"}};
+  for (const auto& [text, says] : cases)
+  {
+    const std::string what = errorOf([&, &content = text] { readSizing(write("sizes.csv", content)); });
+    EXPECT_NE(what.find(says), what.npos) << what;
+  }
 }
 
 TEST(ExampleScenes, AllLoad)
