@@ -54,7 +54,7 @@ struct Trial
 {
   enum class Role
   {
-    STEP,  // on the coarsest mesh, to see what time steps and tolerances do
+    STEP,  // on the scene's own mesh, to see what time steps and tolerances do
     MESH,  // at the reference's time step, to see what the mesh does; the finest one is the reference
     CANDIDATE
   };
@@ -89,24 +89,26 @@ using Runner = std::function<Recording(const Scene&, const RunPlan&, const BodyP
 
 /**
  * Tries models from the cheapest up. The grid: both elements; cell sizes from twice the scene's down in steps of
- * sqrt(2) (surfaces) or refine from 0 to 4 (files of tetrahedra); time steps from twice the scene's down in steps of 2;
- * tolerances of 1e-1 to 1e-4; the implicit integrators (a scene with the explicit one keeps it).
+ * 2^(1/4) (surfaces) or refine from 0 to 4 (files of tetrahedra); time steps from twice the scene's down in steps of 2;
+ * tolerances of 1e-1 to 1e-3; implicit_euler and auto (a scene with the explicit integrator keeps it).
  *
  * The reference is quadratic. Its own error has three parts, added: of the mesh, from the quadratic meshes in a row
- * that end with it; of the time step, from the steps in a row that end with it, on the coarsest mesh; of the tolerance,
- * there too, against one of 1e-7. For a row the estimate is Roache's grid convergence index (Perspective: a method for
- * uniform reporting of grid refinement studies, J. Fluids Eng. 116, 1994): F d/(r^p - 1), d the difference of the last
- * two, r the ratio of their sizes, p the order seen with the last three, held between 0.5 and what the method has (2
- * for meshes, whose boundaries and held regions converge unevenly), F = 1.25; with two only F = 3 and p = 1. Of meshes
- * the larger of the estimates over the last and the last but one is taken.
+ * that end with it; of the time step, from the steps in a row that end with it, on the scene's own mesh; of the
+ * tolerance, there too, against one of 1e-7. For a row the estimate is Roache's grid convergence index (Perspective: a
+ * method for uniform reporting of grid refinement studies, J. Fluids Eng. 116, 1994): F d/(r^p - 1), d the difference
+ * of the last two, r = 2 the ratio of their sizes, p the order seen with the last three, held between 0.5 and 2 (steps:
+ * the integrator's order), F = 1.25; with two only F = 3 and p = 1. Meshes of a surface differ in their boundaries and
+ * in what a region selects as well, which does not fall smoothly: of them the estimate is at least 2 times the
+ * difference of neighbours in cell size, the last pair's or the one before.
  *
  * A candidate counts as accurate when its difference from the reference plus the reference's own error is at most what
  * is wanted. Candidates are run in the order of the cost foreseen, those left out whose mesh and time step have one and
- * a half times the wanted error between them, until nothing cheaper than the best is left.
+ * a half times the wanted error between them, until nothing cheaper than the best is left. Half of the time goes to the
+ * reference; it is fine enough once its own error is a quarter of what is wanted.
  *
  * @param run       runs one model; record() but for tests
  * @param progress  told what is being run; may be empty
- * @throws InputError if the coarsest model cannot be run or the quantity says nothing of this scene
+ * @throws InputError if the scene as it is cannot be run or the quantity says nothing of it
  */
 Tuning tune(const Scene& scene, const TuneRequest& request, const Runner& run,
             const std::function<void(const std::string&)>& progress);

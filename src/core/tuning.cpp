@@ -15,11 +15,13 @@ namespace bezier_fem
 namespace
 {
 constexpr double REFERENCE_SHARE = 0.25;  // of the wanted error, that the reference's own may be
+constexpr double CLIMB_SHARE = 0.5;       // of the time for tuning, until the reference stands
 constexpr double EXACT_TOLERANCE = 1e-7;
 constexpr std::array<double, 4> TOLERANCES{1e-1, 1e-2, 1e-3, 1e-4};
-constexpr int FIRST_STEP = -1, LAST_STEP = 8;                    // time steps: the scene's / 2^j
-constexpr int FIRST_SURFACE_LEVEL = -2, LAST_SURFACE_LEVEL = 8;  // cell sizes: the scene's / 2^(k/2)
-constexpr int FIRST_REFINE_LEVEL = 0, LAST_REFINE_LEVEL = 4;     // model.refine
+constexpr int OWN_MESH = 0;                    // level: the scene's cell size; of a file of tetrahedra, not refined
+constexpr int FIRST_STEP = -1, LAST_STEP = 8;  // time steps: the scene's / 2^j
+constexpr int FIRST_SURFACE_LEVEL = -4, LAST_SURFACE_LEVEL = 16;  // cell sizes: the scene's / 2^(k/4)
+constexpr int FIRST_REFINE_LEVEL = 0, LAST_REFINE_LEVEL = 4;      // model.refine
 constexpr double NO_ERROR_KNOWN = VariantErrors::NOTHING;
 
 std::string printed(double value)
@@ -95,6 +97,7 @@ public:
       return std::move(result_);
     }
     measureLinearMeshes();
+    addMeshesBetween();
     tryCandidates();
     if (!best_) settleForLess();
     explain();
@@ -135,7 +138,6 @@ private:
 
   Tuning result_;
   std::optional<BodyPoints> points_;
-  int coarsest_ = 0;
   Step reference_step_{};
   double reference_tolerance_ = 1e-4;
   double step_error_ = 0, tolerance_error_ = 0;  // of the reference
@@ -144,13 +146,14 @@ private:
   Recording reference_;
   int reference_level_ = 0;
   std::optional<Trial> best_;
-  double tolerance_of_ms_ = 1e-4;
 
   // The grid
 
   int firstLevel() const { return surface_ ? FIRST_SURFACE_LEVEL : FIRST_REFINE_LEVEL; }
   int lastLevel() const { return surface_ ? LAST_SURFACE_LEVEL : LAST_REFINE_LEVEL; }
-  int levelsPerHalf() const { return surface_ ? 2 : 1; }
+  int levelsPerHalf() const { return surface_ ? 4 : 1; }
+  /** From one mesh to the next in the rows that show how errors fall. */
+  int stride() const { return surface_ ? 2 : 1; }
   bool statics() const { return request_.plan.statics; }
 
   Numerics numerics(Element element, int level, const Step& step, double tolerance) const
@@ -159,7 +162,7 @@ private:
     n.element = element;
     if (surface_)
     {
-      n.cell_size = level == 0 ? *scene_.model.cell_size : rounded(*scene_.model.cell_size * std::pow(2, -level / 2.0));
+      n.cell_size = level == 0 ? *scene_.model.cell_size : rounded(*scene_.model.cell_size * std::pow(2, -level / 4.0));
     }
     else
     {
@@ -168,7 +171,7 @@ private:
     if (!statics())
     {
       n.integrator = step.integrator;
-      n.time_step = scene_.time_step * std::pow(2, -step.j);
+      n.time_step = timeStep(step.j);
     }
     n.tolerance = tolerance;
     return n;
@@ -178,6 +181,13 @@ private:
 
   double passed() const { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count(); }
   double left() const { return request_.seconds - passed(); }
+
+  /** Wall clock of a step in ms: the mean, of which the cost is made. */
+  double msOf(const Recording& r, double time_step) const
+  {
+    return statics() ? r.ms_per_step : r.ms_per_second * time_step;
+  }
+  double timeStep(int j) const { return scene_.time_step * std::pow(2, -j); }
 
   double costOf(double ms_per_step, double time_step) const
   {
@@ -206,19 +216,13 @@ private:
 
   double difference(const Recording& a, const Recording& b) const { return errorOf(compare(a, b), request_.quantity); }
 
-  // The axis of time, and of the tolerance, on the coarsest mesh
+  // The axis of time, and of the tolerance, on the scene's own mesh
 
   void chooseStep()
   {
-    // A mesh that coarse may be refused, or leave a region empty.
-    const Step scenes{integrators_.back(), 0, 0, 0};
-    Recording first;
-    for (coarsest_ = firstLevel(); coarsest_ <= lastLevel(); ++coarsest_)
-    {
-      first = run(Trial::Role::STEP, numerics(Element::QUADRATIC, coarsest_, scenes, EXACT_TOLERANCE));
-      if (first.status != RunStatus::REFUSED) break;
-      if (!surface_ || coarsest_ == 0) throw InputError(first.reason);
-    }
+    const Recording first =
+        run(Trial::Role::STEP, numerics(Element::QUADRATIC, OWN_MESH, {integrators_.back(), 0, 0, 0}, EXACT_TOLERANCE));
+    if (first.status == RunStatus::REFUSED) throw InputError(first.reason);
     points_ = first.body;
 
     Recording exact;  // in time
@@ -234,14 +238,14 @@ private:
     }
     if (std::isnan(difference(first, exact)))
     {
-      throw InputError(!exact.comparable() ? "the coarsest model: " + exact.reason
+      throw InputError(!exact.comparable() ? "the scene's own mesh: " + exact.reason
                        : request_.quantity == Quantity::STRESS
                            ? "--quantity: is stress, but the scene has no probes, or they bear no stress"
                            : "the scene does not move: there is no error to speak of");
     }
     for (const double tolerance : {1e-4, 1e-5, 1e-6})
     {
-      const Recording r = run(Trial::Role::STEP, numerics(Element::QUADRATIC, coarsest_, reference_step_, tolerance));
+      const Recording r = run(Trial::Role::STEP, numerics(Element::QUADRATIC, OWN_MESH, reference_step_, tolerance));
       result_.trials.back().error = tolerance_error_ = difference(r, exact);
       reference_tolerance_ = tolerance;
       if (tolerance_error_ <= 0.05 * request_.error) break;
@@ -259,7 +263,7 @@ private:
     double error = NO_ERROR_KNOWN;
     for (;; ++j)
     {
-      const Numerics n = numerics(Element::QUADRATIC, coarsest_, {finest, j, 0, 0}, EXACT_TOLERANCE);
+      const Numerics n = numerics(Element::QUADRATIC, OWN_MESH, {finest, j, 0, 0}, EXACT_TOLERANCE);
       row.push_back(run(Trial::Role::STEP, n));
       trials.push_back(result_.trials.size() - 1);
       if (row.size() > 1)
@@ -269,10 +273,11 @@ private:
                                  differences.size() > 1 ? differences[differences.size() - 2] : NO_ERROR_KNOWN, 2,
                                  orderOf(finest));
       }
-      // The reference takes as many steps on a mesh some hundred times as large.
+      // The reference takes as many steps on a mesh some 16 times as large, and the meshes before it about as long
+      // again.
       const double wall = row.back().ms_per_second * request_.plan.duration / 1000;
       const bool good = row.size() > 2 && error <= REFERENCE_SHARE / 2 * request_.error;
-      if (good || j == LAST_STEP || (row.size() > 2 && 2 * wall * 100 > 0.5 * request_.seconds)) break;
+      if (good || j == LAST_STEP || (row.size() > 2 && 2 * wall * 40 > CLIMB_SHARE * request_.seconds)) break;
     }
     const Recording& last = row.back();
     step_error_ = error;
@@ -280,7 +285,8 @@ private:
     {
       const double own = k + 1 == row.size() ? error : difference(row[k], last) + error;
       result_.trials[trials[k]].error = own;
-      steps_.push_back({finest, FIRST_STEP + static_cast<int>(k), own, row[k].ms_per_step});
+      const int at = FIRST_STEP + static_cast<int>(k);
+      steps_.push_back({finest, at, own, msOf(row[k], timeStep(at))});
     }
     reference_step_ = steps_.back();
     for (std::size_t i = 0; i + 1 < integrators_.size(); ++i)
@@ -288,12 +294,12 @@ private:
       for (int other = FIRST_STEP; other <= LAST_STEP; ++other)
       {
         const Recording r =
-            run(Trial::Role::STEP, numerics(Element::QUADRATIC, coarsest_, {integrators_[i], other, 0, 0}, 1e-4));
+            run(Trial::Role::STEP, numerics(Element::QUADRATIC, OWN_MESH, {integrators_[i], other, 0, 0}, 1e-4));
         const double own = difference(r, last) + error;
         result_.trials.back().error = own;
         if (std::isnan(own)) continue;
-        steps_.push_back({integrators_[i], other, own, r.ms_per_step});
-        if (own <= 0.3 * request_.error) break;
+        steps_.push_back({integrators_[i], other, own, msOf(r, timeStep(other))});
+        if (own <= 0.3 * request_.error || r.ms_per_second > row.back().ms_per_second) break;
       }
     }
     return last;
@@ -305,40 +311,37 @@ private:
   {
     std::map<int, Recording> row;
     std::map<int, std::size_t> trials;
-    const int half = levelsPerHalf();
-    double wall_before = 0;
-    for (int level = coarsest_; level <= lastLevel(); ++level)
+    const double growth = surface_ ? 3.5 : 10;  // of the time of a run, from one level to the next
+    double wall = 0;
+    for (int level = firstLevel(); level <= lastLevel(); level += stride())
     {
-      const double growth = surface_ ? 3.5 : 10;  // of the time of a run, from one level to the next
-      // Half of the time is for the candidates.
-      if (level > coarsest_ + half && passed() + growth * wall_before > 0.6 * request_.seconds) break;
+      if (!std::isnan(result_.reference_error) && passed() + growth * wall > CLIMB_SHARE * request_.seconds) break;
       const double before = passed();
       Recording r = run(Trial::Role::MESH, numerics(Element::QUADRATIC, level, reference_step_, reference_tolerance_));
-      wall_before = passed() - before;
+      wall = passed() - before;
       if (r.status != RunStatus::OK)
       {
-        if (level == coarsest_) throw InputError(r.reason);
-        break;
+        if (level >= OWN_MESH) break;
+        row.clear();  // too coarse: a region may be empty, the surface too rough to be filled
+        continue;
       }
       row[level] = std::move(r);
       trials[level] = result_.trials.size() - 1;
       reference_level_ = level;
-      const double own = meshError(row, level);
-      if (std::isnan(own)) continue;
-      result_.reference_error = own + step_error_ + tolerance_error_;
-      if (row.size() > 2 && result_.reference_error <= REFERENCE_SHARE * request_.error) break;
+      result_.reference_error = meshError(row, level) + step_error_ + tolerance_error_;
+      if (row.size() > 2 && level > OWN_MESH && result_.reference_error <= REFERENCE_SHARE * request_.error) break;
     }
+    if (std::isnan(result_.reference_error)) return;
     reference_ = row.at(reference_level_);
-    result_.reference = result_.trials[trials.at(reference_level_)];
     const double own = meshError(row, reference_level_);
     for (const auto& [level, r] : row)
     {
       const double error = level == reference_level_ ? own : difference(r, reference_) + own;
       result_.trials[trials[level]].error = error;
-      meshes_.push_back({Element::QUADRATIC, level, error, r.ms_per_step});
+      meshes_.push_back({Element::QUADRATIC, level, error, msOf(r, timeStep(reference_step_.j))});
     }
+    result_.reference = result_.trials[trials.at(reference_level_)];
     result_.reference.error = result_.reference_error;
-    tolerance_of_ms_ = reference_tolerance_;
   }
 
   /** Of a level, from the row of meshes up to it; NaN where the row is too short. */
@@ -351,39 +354,48 @@ private:
     };
     const double last = apart(level - half, level), before = apart(level - 2 * half, level - half);
     if (std::isnan(last)) return NO_ERROR_KNOWN;
-    double error = convergenceIndex(last, before, 2, MOST);
-    if (half > 1)
-    {
-      error = std::fmax(error,
-                        convergenceIndex(apart(level - 1, level), apart(level - 2, level - 1), std::sqrt(2.0), MOST));
-    }
-    return error;
+    const double index = convergenceIndex(last, before, 2, MOST);
+    if (!surface_) return index;
+    // Meshes of a surface that differ little scatter as well: by as much as neighbours do, less with the cell size.
+    return std::fmax(index, 2 * std::fmax(apart(level - stride(), level),
+                                          apart(level - 2 * stride(), level - stride()) / std::sqrt(2.0)));
   }
 
   void measureLinearMeshes()
   {
-    double enough = std::numeric_limits<double>::infinity();  // what a quadratic mesh that is good enough takes
+    const double growth = surface_ ? 2.8 : 8, gain = surface_ ? 2 : 4;  // at best: of time, of error, a level
+    double enough = std::numeric_limits<double>::infinity();            // what a quadratic mesh that will do takes
     for (const Mesh& mesh : meshes_)
     {
-      if (mesh.error <= request_.error) enough = std::min(enough, mesh.ms);
+      if (mesh.error <= request_.error || mesh.level == reference_level_) enough = std::min(enough, mesh.ms);
     }
-    double ms = 0, last = NO_ERROR_KNOWN;
-    for (int level = coarsest_; level <= lastLevel(); ++level)
+    const double own = result_.reference_error - step_error_ - tolerance_error_;
+    for (int level = firstLevel(); level <= reference_level_ && left() > 0; level += stride())
     {
-      const double growth = surface_ ? 2.8 : 8;
-      if (growth * ms > enough || passed() > 0.7 * request_.seconds) break;
       const Recording r =
           run(Trial::Role::MESH, numerics(Element::LINEAR, level, reference_step_, reference_tolerance_));
-      if (!r.comparable()) break;
-      const double error = difference(r, reference_) + result_.reference_error - step_error_ - tolerance_error_;
-      result_.trials.back().error = error;
-      meshes_.push_back({Element::LINEAR, level, error, r.ms_per_step});
-      ms = r.ms_per_step;
-      if (error <= 0.5 * request_.error) break;
-      // Where even the order that linear elements may have at best does not get there at the quadratic ones' price
-      const double gain = surface_ ? 2 : 4;
-      if (!std::isnan(last) && error > request_.error * std::pow(gain, std::log(enough / ms) / std::log(growth))) break;
-      last = error;
+      if (r.status != RunStatus::OK && level >= OWN_MESH) break;
+      if (r.status != RunStatus::OK) continue;
+      const double apart = difference(r, reference_);
+      result_.trials.back().error = apart + own;
+      const double ms = msOf(r, timeStep(reference_step_.j));
+      meshes_.push_back({Element::LINEAR, level, apart + own, ms});
+      // Until it is good enough, or could not become so for less than a quadratic mesh takes.
+      const double levels = std::log(apart / (0.8 * request_.error)) / std::log(gain);
+      if (levels <= 0 || ms * std::pow(growth, std::max(1.0, levels)) > enough) break;
+    }
+  }
+
+  /** Those that the rows skipped, with what can be expected of them. */
+  void addMeshesBetween()
+  {
+    if (!surface_) return;
+    const std::vector<Mesh> known = meshes_;
+    for (std::size_t k = 0; k + 1 < known.size(); ++k)
+    {
+      const Mesh &a = known[k], &b = known[k + 1];
+      if (a.element != b.element || b.level - a.level != 2) continue;
+      meshes_.push_back({a.element, a.level + 1, std::sqrt(a.error * b.error), std::sqrt(a.ms * b.ms)});
     }
   }
 
@@ -394,8 +406,8 @@ private:
   double costForeseen(const Mesh& mesh, const Step& step, double tolerance) const
   {
     const double ms =
-        mesh.ms * (statics() ? 1 : step.ms / reference_step_.ms) * work(tolerance) / work(tolerance_of_ms_);
-    return costOf(ms, scene_.time_step * std::pow(2, -step.j));
+        mesh.ms * (statics() ? 1 : step.ms / reference_step_.ms) * work(tolerance) / work(reference_tolerance_);
+    return costOf(ms, timeStep(step.j));
   }
 
   std::vector<Candidate> candidates(double error) const
@@ -411,6 +423,12 @@ private:
     }
     std::sort(list.begin(), list.end(), [](const Candidate& a, const Candidate& b) { return a.cost < b.cost; });
     return list;
+  }
+
+  /** Wall clock. */
+  double secondsForeseen(const Candidate& c) const
+  {
+    return c.cost / 1000 * (statics() ? 1 : request_.plan.duration / scene_.time_step);
   }
 
   bool affordable(double cost) const { return !request_.budget_ms || cost <= *request_.budget_ms; }
@@ -436,9 +454,10 @@ private:
     {
       if (best_ && c.cost >= best_->cost) break;
       if (request_.budget_ms && c.cost > 2 * *request_.budget_ms) break;
-      if (left() < 0) break;
+      if (secondsForeseen(c) > left()) continue;
       Trial trial = tryOut(c, 1e-2);
       if (!accurate(trial) && trial.error <= 1.3 * request_.error) trial = tryOut(c, 1e-3);
+      if (accurate(trial) && !affordable(trial.cost) && affordable(0.5 * trial.cost)) trial = tryOut(c, 1e-1);
       if (!better(trial)) continue;
       best_ = trial;
       of_best = c;
@@ -448,26 +467,37 @@ private:
     if (better(loose)) best_ = loose;
   }
 
-  /** Nothing is accurate enough and cheap enough: what comes nearest within the budget, or without one at all. */
+  /**
+   * Nothing is accurate enough and cheap enough: the cheapest of what comes nearest, within the budget if there is one.
+   */
   void settleForLess()
   {
+    constexpr double AS_GOOD = 1.25;
     std::vector<Candidate> list = candidates(std::numeric_limits<double>::infinity());
-    if (request_.budget_ms)
+    const double most = request_.budget_ms ? 1.5 * *request_.budget_ms : std::numeric_limits<double>::infinity();
+    list.erase(std::remove_if(list.begin(), list.end(), [&](const Candidate& c) { return c.cost > most; }), list.end());
+    double least = std::numeric_limits<double>::infinity();
+    for (const Candidate& c : list) least = std::min(least, c.mesh.error + c.step.error);
+    int tried = 0;
+    for (const Candidate& c : list)
     {
-      list.erase(std::remove_if(list.begin(), list.end(),
-                                [&](const Candidate& c) { return c.cost > 1.5 * *request_.budget_ms; }),
-                 list.end());
+      if (c.mesh.error + c.step.error > AS_GOOD * least || secondsForeseen(c) > left()) continue;
+      tryOut(c, 1e-2);
+      if (++tried == 4) break;
     }
-    std::sort(list.begin(), list.end(), [](const Candidate& a, const Candidate& b) {
-      return a.mesh.error + a.step.error < b.mesh.error + b.step.error;
-    });
-    constexpr std::size_t MOST_TRIED = 6;
-    for (std::size_t k = 0; k < std::min(MOST_TRIED, list.size()) && left() > 0; ++k) tryOut(list[k], 1e-2);
-    for (const Trial& trial : result_.trials)
+    least = std::numeric_limits<double>::infinity();
+    // The finest meshes were run whole already, at the reference's step.
+    std::vector<Trial> whole;
+    for (Trial t : result_.trials)
     {
-      // What was run to see the axes is whole models too, at the reference's price.
-      if (trial.role != Trial::Role::CANDIDATE || trial.status != RunStatus::OK || !affordable(trial.cost)) continue;
-      if (!best_ || trial.error < best_->error) best_ = trial;
+      if (t.role == Trial::Role::MESH) t.error += step_error_ + tolerance_error_;
+      if (t.role == Trial::Role::STEP || t.status != RunStatus::OK || !affordable(t.cost)) continue;
+      least = std::min(least, t.error);
+      whole.push_back(t);
+    }
+    for (const Trial& t : whole)
+    {
+      if (t.error <= AS_GOOD * least && (!best_ || t.cost < best_->cost)) best_ = t;
     }
   }
 
