@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "bezier_fem/scene.h"
+#include "bezier_fem/sizing.h"
 #include "bezier_fem/variant.h"
 
 /** The cheapest numerics that are accurate enough for a scene. */
@@ -26,7 +27,8 @@ double errorOf(const VariantErrors& errors, Quantity quantity);
 struct Numerics
 {
   Element element;
-  std::optional<double> cell_size;  // m; of surfaces
+  std::optional<double> cell_size;    // m; of surfaces
+  std::optional<std::string> sizing;  // path
   int refine;
   double time_step;       // s
   Integrator integrator;  // statics leave both as they are
@@ -37,7 +39,7 @@ const char* nameOf(Element element);        // as in the scene file
 const char* nameOf(Integrator integrator);  // as in the scene file
 Numerics numericsOf(const Scene& scene);
 Scene with(Scene scene, const Numerics& numerics);
-/** As overrides of the scene file, "KEY=VALUE". */
+/** As overrides of the scene file, "KEY=VALUE"; but for the sizing, whose path is relative to the scene. */
 std::vector<std::string> overridesOf(const Numerics& numerics, bool statics);
 
 struct TuneRequest
@@ -45,6 +47,13 @@ struct TuneRequest
   double error = 0.02;  // relative
   Quantity quantity = Quantity::TIP;
   std::optional<double> budget_ms;  // largest cost, see Trial::cost
+  /** To be set for meshes that are finer only where that pays; for surfaces. */
+  struct Local
+  {
+    std::string file;                                                           // absolute path of the sizing to write
+    std::function<std::vector<SizePoint>(const Scene&, const RunPlan&)> sizes;  // balancedSizes() but for tests
+  };
+  std::optional<Local> local;
   RunPlan plan;
   double seconds = 90;  // wall clock; no run is begun that would go on for longer, as far as can be foreseen
 };
@@ -56,7 +65,8 @@ struct Trial
   {
     STEP,  // on the scene's own mesh, to see what time steps and tolerances do
     MESH,  // at the reference's time step, to see what the mesh does; the finest one is the reference
-    CANDIDATE
+    CANDIDATE,
+    LOCAL  // as the best candidate, with a graded mesh
   };
   Role role;
   Numerics numerics;
@@ -94,7 +104,7 @@ using Runner = std::function<Recording(const Scene&, const RunPlan&, const BodyP
  *
  * The reference is quadratic. Its own error has three parts, added: of the mesh, from the quadratic meshes in a row
  * that end with it; of the time step, from the steps in a row that end with it, on the scene's own mesh; of the
- * tolerance, there too, against one of 1e-7. For a row the estimate is Roache's grid convergence index (Perspective: a
+ * tolerance, there too, against one of 1e-8. For a row the estimate is Roache's grid convergence index (Perspective: a
  * method for uniform reporting of grid refinement studies, J. Fluids Eng. 116, 1994): F d/(r^p - 1), d the difference
  * of the last two, r = 2 the ratio of their sizes, p the order seen with the last three, held between 0.5 and 2 (steps:
  * the integrator's order), F = 1.25; with two only F = 3 and p = 1. Meshes of a surface differ in their boundaries and
@@ -106,9 +116,13 @@ using Runner = std::function<Recording(const Scene&, const RunPlan&, const BodyP
  * a half times the wanted error between them, until nothing cheaper than the best is left. Half of the time goes to the
  * reference; it is fine enough once its own error is a quarter of what is wanted.
  *
+ * With TuneRequest::local the best candidate is then tried with graded meshes, of a quarter as many elements and up,
+ * until one is accurate; it is taken if it is cheaper.
+ *
  * @param run       runs one model; record() but for tests
  * @param progress  told what is being run; may be empty
- * @throws InputError if the scene as it is cannot be run or the quantity says nothing of it
+ * @throws InputError if the scene as it is cannot be run, the quantity says nothing of it, or a local refinement is
+ *         wanted of a file of tetrahedra
  */
 Tuning tune(const Scene& scene, const TuneRequest& request, const Runner& run,
             const std::function<void(const std::string&)>& progress);

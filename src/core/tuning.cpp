@@ -16,7 +16,7 @@ namespace
 {
 constexpr double REFERENCE_SHARE = 0.25;  // of the wanted error, that the reference's own may be
 constexpr double CLIMB_SHARE = 0.5;       // of the time for tuning, until the reference stands
-constexpr double EXACT_TOLERANCE = 1e-7;
+constexpr double EXACT_TOLERANCE = 1e-8;
 constexpr std::array<double, 4> TOLERANCES{1e-1, 1e-2, 1e-3, 1e-4};
 constexpr int OWN_MESH = 0;                    // level: the scene's cell size; of a file of tetrahedra, not refined
 constexpr int FIRST_STEP = -1, LAST_STEP = 8;  // time steps: the scene's / 2^j
@@ -87,6 +87,10 @@ public:
 
   Tuning search()
   {
+    if (request_.local && !surface_)
+    {
+      throw InputError("--local: needs a surface to mesh anew, but model.file is a mesh of tetrahedra");
+    }
     chooseStep();
     climbMeshes();
     if (std::isnan(result_.reference_error))
@@ -99,6 +103,7 @@ public:
     measureLinearMeshes();
     addMeshesBetween();
     tryCandidates();
+    if (best_ && request_.local) tryLocally();
     if (!best_) settleForLess();
     explain();
     return std::move(result_);
@@ -146,6 +151,7 @@ private:
   Recording reference_;
   int reference_level_ = 0;
   std::optional<Trial> best_;
+  std::string local_;  // what came of refining locally
 
   // The grid
 
@@ -243,7 +249,9 @@ private:
                            ? "--quantity: is stress, but the scene has no probes, or they bear no stress"
                            : "the scene does not move: there is no error to speak of");
     }
-    for (const double tolerance : {1e-4, 1e-5, 1e-6})
+    // What a residual leaves of an equilibrium's error grows with the mesh; of a step's, whose mass is there, hardly.
+    const std::vector<double> tolerances = statics() ? std::vector<double>{1e-7} : std::vector<double>{1e-5, 1e-6};
+    for (const double tolerance : tolerances)
     {
       const Recording r = run(Trial::Role::STEP, numerics(Element::QUADRATIC, OWN_MESH, reference_step_, tolerance));
       result_.trials.back().error = tolerance_error_ = difference(r, exact);
@@ -352,13 +360,17 @@ private:
     const auto apart = [&](int a, int b) {
       return row.count(a) && row.count(b) ? difference(row.at(a), row.at(b)) : NO_ERROR_KNOWN;
     };
-    const double last = apart(level - half, level), before = apart(level - 2 * half, level - half);
+    const double neighbours = apart(level - stride(), level);
+    const double neighbours_before = apart(level - 2 * stride(), level - stride());
+    const double last = apart(level - half, level);
+    // Where the row is too short for three sizes in ratios of 2, the order is that of three neighbours.
+    double before = apart(level - 2 * half, level - half);
+    if (std::isnan(before)) before = last * std::pow(neighbours_before / neighbours, half / stride());
     if (std::isnan(last)) return NO_ERROR_KNOWN;
     const double index = convergenceIndex(last, before, 2, MOST);
     if (!surface_) return index;
     // Meshes of a surface that differ little scatter as well: by as much as neighbours do, less with the cell size.
-    return std::fmax(index, 2 * std::fmax(apart(level - stride(), level),
-                                          apart(level - 2 * stride(), level - stride()) / std::sqrt(2.0)));
+    return std::fmax(index, 2 * std::fmax(neighbours, neighbours_before / std::sqrt(2.0)));
   }
 
   void measureLinearMeshes()
@@ -467,6 +479,43 @@ private:
     if (better(loose)) best_ = loose;
   }
 
+  /** The best candidate again, on meshes that are fine only where the error comes from. */
+  void tryLocally()
+  {
+    const Trial uniform = *best_;
+    const double own_cell = *scene_.model.cell_size;
+    Numerics n = uniform.numerics;
+    n.cell_size = own_cell;
+    const std::vector<SizePoint> balanced = request_.local->sizes(with(scene_, n), request_.plan);
+    n.sizing = request_.local->file;
+    constexpr int MOST_TRIED = 5;
+    for (int k = 0; k < MOST_TRIED && left() > 0; ++k)
+    {
+      // A quarter of the elements of the uniform mesh, then 2^(3/4) times as many each time
+      const double factor = *uniform.numerics.cell_size / own_cell * std::cbrt(4) * std::pow(2, -k / 4.0);
+      std::vector<SizePoint> sizes = balanced;
+      double largest = 0;
+      for (SizePoint& point : sizes)
+      {
+        point.size = std::min(point.size * factor, 2 * own_cell);
+        largest = std::max(largest, point.size);
+      }
+      n.cell_size = rounded(largest);
+      writeSizing(*n.sizing, sizes);
+      const Recording r = run(Trial::Role::LOCAL, n);
+      Trial& trial = result_.trials.back();
+      trial.error = difference(r, reference_) + result_.reference_error;
+      if (trial.status != RunStatus::OK || !(trial.error <= request_.error)) continue;
+      if (trial.cost < uniform.cost) best_ = trial;
+      local_ = " With local refinement: " + std::to_string(trial.tets) + " tetrahedra, " + percent(trial.error) + ", " +
+               printed(trial.cost) + " ms; with the best uniform mesh " + std::to_string(uniform.tets) + ", " +
+               percent(uniform.error) + ", " + printed(uniform.cost) + " ms.";
+      break;
+    }
+    if (local_.empty()) local_ = " No graded mesh that was tried was as accurate.";
+    if (!best_->numerics.sizing) std::remove(n.sizing->c_str());
+  }
+
   /**
    * Nothing is accurate enough and cheap enough: the cheapest of what comes nearest, within the budget if there is one.
    */
@@ -507,8 +556,9 @@ private:
   {
     const Numerics& n = t.numerics;
     return std::string(nameOf(n.element)) + " elements" +
-           (surface_ ? " of " + printed(*n.cell_size) + " m" : ", refine " + std::to_string(n.refine)) + " (" +
-           std::to_string(t.tets) + " tetrahedra)" +
+           (surface_ ? (n.sizing ? " of up to " : " of ") + printed(*n.cell_size) + " m"
+                     : ", refine " + std::to_string(n.refine)) +
+           " (" + std::to_string(t.tets) + " tetrahedra)" +
            (statics() ? "" : std::string(", ") + nameOf(n.integrator) + " at " + printed(1000 * n.time_step) + " ms") +
            ", tolerance " + printed(n.tolerance);
   }
@@ -549,7 +599,7 @@ private:
                  : " The wanted " + percent(request_.error) +
                        " could not be shown in the time for tuning: the reference itself is not certain to that.";
     }
-    result_.why = std::move(why);
+    result_.why = why + local_;
   }
 };
 }  // namespace
@@ -593,7 +643,7 @@ const char* nameOf(Integrator integrator)
 
 Numerics numericsOf(const Scene& scene)
 {
-  return {scene.element,   scene.model.cell_size, scene.model.refine,
+  return {scene.element,   scene.model.cell_size, scene.model.sizing,    scene.model.refine,
           scene.time_step, scene.integrator,      scene.solver.tolerance};
 }
 
@@ -601,6 +651,7 @@ Scene with(Scene scene, const Numerics& numerics)
 {
   scene.element = numerics.element;
   scene.model.cell_size = numerics.cell_size;
+  scene.model.sizing = numerics.sizing;
   scene.model.refine = numerics.refine;
   scene.time_step = numerics.time_step;
   scene.integrator = numerics.integrator;

@@ -14,7 +14,17 @@ namespace
 {
 const char* roleOf(const Trial& trial)
 {
-  return trial.role == Trial::Role::STEP ? "step" : trial.role == Trial::Role::MESH ? "mesh" : "candidate";
+  switch (trial.role)
+  {
+    case Trial::Role::STEP:
+      return "step";
+    case Trial::Role::MESH:
+      return "mesh";
+    case Trial::Role::LOCAL:
+      return "local";
+    default:
+      return "candidate";
+  }
 }
 
 void save(const std::string& path, const std::string& text)
@@ -117,13 +127,15 @@ void writeTuningChart(const std::string& path, const Tuning& tuning, const TuneR
        request.plan.statics ? "time of the solve, ms" : "time for one time_step of the scene as given, ms", "middle");
   text(x.from, 24,
        "estimated error; filled: tried as a whole, empty: its mesh&#8217;s or its step&#8217;s part alone; blue: "
-       "quadratic, orange: linear; ring: chosen",
+       "quadratic, orange: linear, green: graded mesh; ring: chosen",
        "start");
   for (const Trial& t : tuning.trials)
   {
     if (!(t.error > 0) || !std::isfinite(t.error) || !(t.cost > 0)) continue;
-    const char* const color = t.numerics.element == Element::LINEAR ? "#e80" : "#06c";
-    const bool whole = t.role == Trial::Role::CANDIDATE;
+    const char* const color = t.role == Trial::Role::LOCAL            ? "#090"
+                              : t.numerics.element == Element::LINEAR ? "#e80"
+                                                                      : "#06c";
+    const bool whole = t.role == Trial::Role::CANDIDATE || t.role == Trial::Role::LOCAL;
     svg << "<circle cx=\"" << x.at(t.cost) << "\" cy=\"" << y.at(t.error) << "\" r=\"4\" stroke=\"" << color
         << "\" fill=\"" << (whole ? color : "none") << "\"/>\n";
   }

@@ -11,6 +11,7 @@
 #include <map>
 
 #include "bezier_fem/error.h"
+#include "bezier_fem/local_sizes.h"
 #include "bezier_fem/tuning.h"
 #include "bezier_fem/tuning_chart.h"
 #include "bezier_fem/write_scene.h"
@@ -25,6 +26,7 @@ struct Options
 {
   std::string scene, out;
   std::vector<std::string> overrides;
+  bool local = false;
   TuneRequest request;
 };
 
@@ -77,6 +79,9 @@ int run(Options& options)
   const Scene scene = loadScene(options.scene, options.overrides);
   options.request.plan.statics = options.request.plan.statics || scene.integrator == Integrator::STATIC;
   if (options.out.empty()) options.out = fs::path(options.scene).replace_extension(".tuned.yaml").string();
+  const fs::path stem = fs::path(options.out).replace_extension();
+  const std::string sizing = stem.string() + ".sizing.csv";
+  if (options.local) options.request.local = {fs::absolute(sizing).string(), balancedSizes};
   Tuning tuning;
   try
   {
@@ -97,8 +102,13 @@ int run(Options& options)
   std::vector<std::string> overrides = options.overrides;
   for (const std::string& change : overridesOf(tuning.chosen, options.request.plan.statics))
     overrides.push_back(change);
+  if (tuning.chosen.sizing && options.local)
+  {
+    const fs::path folder = fs::absolute(fs::path(options.scene)).parent_path();
+    overrides.push_back("model.sizing=\"" + fs::path(*tuning.chosen.sizing).lexically_proximate(folder).string() +
+                        "\"");
+  }
   writeScene(options.scene, overrides, options.out, headOf(options, tuning));
-  const fs::path stem = fs::path(options.out).replace_extension();
   writeTuningCsv(stem.string() + ".csv", tuning);
   writeTuningChart(stem.string() + ".svg", tuning, options.request);
   std::cout << tuning.why << std::endl;
@@ -141,6 +151,9 @@ int main(int argc, char** argv)
                             ->check(CLI::PositiveNumber);
   app.add_option("--quantity", request.quantity, "Error of what: tip (default), field, max, stress")
       ->transform(CLI::CheckedTransformer(quantities).description(""));
+  app.add_flag(
+      "--local", options.local,
+      "Surfaces: also try meshes that are finer only where the error comes from; writes SCENE.tuned.sizing.csv");
   auto* duration = app.add_option("--duration", request.plan.duration, "Simulated time that counts, s (default 1)")
                        ->check(CLI::PositiveNumber);
   app.add_flag("--static", request.plan.statics,

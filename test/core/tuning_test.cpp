@@ -196,6 +196,37 @@ TEST(Tune, SaysWhatABudgetBuys)
   EXPECT_TRUE(made.tuned(request).accurate);
 }
 
+TEST(Tune, TakesAGradedMeshWhereThatIsCheaper)
+{
+  const Made made;
+  const std::string file = testing::TempDir() + "tuning.sizing.csv";
+  TuneRequest request;
+  const Tuning uniform = made.tuned(request);
+  request.local = {file, [](const Scene& s, const RunPlan&) {
+                     return std::vector<SizePoint>(3, {Eigen::Vector3d::Zero(), *s.model.cell_size});
+                   }};
+  for (const double gain : {0.3, 1.5})  // of error, of as many elements
+  {
+    const Runner run = [&](const Scene& s, const RunPlan& plan, const BodyPoints*) {
+      if (!s.model.sizing) return made.run(s, plan);
+      Made graded = made;
+      graded.quadratic *= gain;
+      Scene as_many = s;
+      as_many.model.cell_size = readSizing(*s.model.sizing).front().size;
+      return graded.run(as_many, plan);
+    };
+    std::remove(file.c_str());
+    const Tuning tuning = tune(made.scene(), request, run, {});
+    EXPECT_TRUE(tuning.accurate);
+    EXPECT_EQ(tuning.chosen.sizing.has_value(), gain < 1) << tuning.why;
+    EXPECT_EQ(std::ifstream(file).good(), gain < 1) << "written, or taken back";
+    EXPECT_LT(tuning.cost, (gain < 1 ? 0.7 : 1.01) * uniform.cost);
+  }
+  Made tetrahedra;
+  tetrahedra.mesh_is_surface = false;
+  EXPECT_THROW(tetrahedra.tuned(request), InputError);
+}
+
 TEST(Tune, SaysWhenTheErrorCannotBeShown)
 {
   Made made;
