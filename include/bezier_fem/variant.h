@@ -83,7 +83,7 @@ struct Recording
 
 /**
  * Runs a scene and records it. Nothing is thrown: what goes wrong is in the status. A run of less than 50 ms is
- * repeated for its times. The scene's fine surface is left out.
+ * repeated for its times, of which each step's shortest counts. The scene's fine surface is left out.
  * @param points  those of the reference; null: the model's own, for the reference itself
  */
 Recording record(Scene scene, const RunPlan& plan, const BodyPoints* points, const Simulation::Log& log);

@@ -280,6 +280,50 @@ std::vector<Step> splitKey(const std::string& key)
   return steps;
 }
 
+/** As a plain scalar where that is read back as what it is, else in double quotes. */
+void printText(const std::string& text, bool plain, std::string& out)
+{
+  constexpr const char* SAFE = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_./+-";
+  if (plain && !text.empty() && text.find_first_not_of(SAFE) == std::string::npos)
+  {
+    out += text;
+    return;
+  }
+  out += '"';
+  for (const char c : text)
+  {
+    if (c == '"' || c == '\\') out += '\\';
+    if (static_cast<unsigned char>(c) >= ' ' && c != '\x7f')
+    {
+      out += c;
+      continue;
+    }
+    constexpr const char* DIGITS = "0123456789abcdef";
+    out += {'\\', 'x', DIGITS[c >> 4 & 15], DIGITS[c & 15]};
+  }
+  out += '"';
+}
+
+void printInLine(const YamlNode& node, std::string& out)
+{
+  if (node.kind == YamlNode::Kind::EMPTY) out += "null";
+  if (node.kind == YamlNode::Kind::SCALAR) printText(node.text, node.plain, out);
+  if (node.kind != YamlNode::Kind::LIST && node.kind != YamlNode::Kind::MAP) return;
+  const bool map = node.kind == YamlNode::Kind::MAP;
+  out += map ? '{' : '[';
+  for (std::size_t i = 0; i < node.items.size(); ++i)
+  {
+    if (i > 0) out += ", ";
+    if (map)
+    {
+      printText(node.keys[i], true, out);
+      out += ": ";
+    }
+    printInLine(node.items[i], out);
+  }
+  out += map ? '}' : ']';
+}
+
 }  // namespace
 
 YamlNode parseYaml(const std::string& text, const std::string& source)
@@ -342,6 +386,40 @@ void assignYaml(YamlNode& root, const std::string& assignment)
     way += (way.empty() ? "" : ".") + step.text;
   }
   *node = std::move(value);
+}
+
+std::string printYaml(const YamlNode& root)
+{
+  std::string out;
+  for (std::size_t i = 0; i < root.items.size(); ++i)
+  {
+    const YamlNode& value = root.items[i];
+    printText(root.keys[i], true, out);
+    out += ':';
+    const bool maps =
+        value.kind == YamlNode::Kind::LIST && !value.items.empty() && value.items.front().kind == YamlNode::Kind::MAP;
+    const bool map = value.kind == YamlNode::Kind::MAP && !value.items.empty();
+    if (!maps && !map)
+    {
+      out += ' ';
+      printInLine(value, out);
+      out += '\n';
+      continue;
+    }
+    out += '\n';
+    for (std::size_t k = 0; k < value.items.size(); ++k)
+    {
+      out += maps ? "  - " : "  ";
+      if (map)
+      {
+        printText(value.keys[k], true, out);
+        out += ": ";
+      }
+      printInLine(value.items[k], out);
+      out += '\n';
+    }
+  }
+  return out;
 }
 
 bool isYamlBoolean(const std::string& text)

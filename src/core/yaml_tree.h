@@ -36,6 +36,9 @@ YamlNode parseYaml(const std::string& text, const std::string& source);
  */
 void assignYaml(YamlNode& root, const std::string& assignment);
 
+/** YAML that parseYaml() reads back as the same tree: a key a line, what lies deeper than two levels in one. */
+std::string printYaml(const YamlNode& root);
+
 /** True for the words that YAML 1.1 (rosparam) reads as booleans: true, no, On, ... */
 bool isYamlBoolean(const std::string& text);
 

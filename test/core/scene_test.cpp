@@ -101,6 +101,7 @@ TEST_F(SceneTest, DefaultsAreThoseOfTheFormat)
   const Scene scene = parse(MINIMAL);
   EXPECT_EQ(scene.model.file, (folder_ / "body.msh").string());
   EXPECT_FALSE(scene.model.cell_size);
+  EXPECT_EQ(scene.model.refine, 0);
   EXPECT_FALSE(scene.model.sizing);
   EXPECT_EQ(scene.model.refine, 0);
   EXPECT_EQ(scene.model.scale, 1);
@@ -175,6 +176,7 @@ node: {mode: lockstep, publish_rate: 12.5, wrench: {radius: 1, max_distance: 2, 
 )");
   EXPECT_EQ(scene.model.file, (folder_ / "skin.off").string());
   EXPECT_EQ(scene.model.cell_size, 0.08);
+  EXPECT_EQ(scene.model.refine, 2);
   EXPECT_EQ(scene.model.sizing, (folder_ / "sizes.csv").string());
   EXPECT_EQ(scene.model.refine, 2);
   EXPECT_EQ(scene.model.longest_side, 1.5);
