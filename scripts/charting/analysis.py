@@ -16,27 +16,23 @@ def own_error(sizes, distances):
     """
     The error of a finest solution from its distance to two coarser ones (Richardson). `sizes`: h of the coarse, the
     middle and the finest solution (or their time steps), `distances`: of the coarse and the middle one from the
-    finest. The error is C h^p, so that the distances are C (h_k^p - h_finest^p). Returns the order p and the error;
-    infinite where the distances tell of no convergence.
+    finest. The error is C h^p, so that the distances are C (h_k^p - h_finest^p). Returns the order p, at most 4, and
+    the error; where the distances tell of no order, None and the larger distance.
     """
     coarse, middle, fine = sizes
     if not coarse > middle > fine > 0 or min(distances) < 0:
         raise ValueError(f"sizes {sizes} must decrease and distances {distances} must not be negative")
-    if distances[1] == 0:
-        return math.inf, 0.0
 
     def ratio(p):
         return (coarse**p - fine**p) / (middle**p - fine**p)
 
-    # The ratio grows with p, from what p = 0 gives; a p above 8 is as good as 8.
-    low, high = 1e-6, 8.0
-    wanted = distances[0] / distances[1]
-    if wanted <= ratio(low):
-        return 0.0, math.inf
-    for _ in range(100):
+    low, high = 1e-6, 4.0  # the ratio grows with p
+    if distances[0] <= ratio(low) * distances[1]:
+        return None, max(distances)
+    for _ in range(60):
         p = (low + high) / 2
-        low, high = (p, high) if ratio(p) < wanted else (low, p)
-    return low, distances[1] * fine**low / (middle**low - fine**low)
+        low, high = (p, high) if ratio(p) * distances[1] < distances[0] else (low, p)
+    return high, distances[1] * fine**high / (middle**high - fine**high)
 
 
 def cheapest(points, error):

@@ -51,8 +51,16 @@ class Analysis(unittest.TestCase):
                 self.assertAlmostEqual(own / (0.05 * sizes[2]**order), 1, 6)
 
     def test_own_error_without_convergence(self):
-        self.assertEqual(analysis.own_error((4, 2, 1), (0.1, 0.1))[1], math.inf)
-        self.assertEqual(analysis.own_error((4, 2, 1), (0.1, 0.2))[1], math.inf)
+        self.assertEqual(analysis.own_error((4, 2, 1), (0.1, 0.1)), (None, 0.1))
+        self.assertEqual(analysis.own_error((4, 2, 1), (0.1, 0.2)), (None, 0.2))
+        self.assertEqual(analysis.own_error((4, 2, 1), (0, 0)), (None, 0))
+        # Logarithms are the slowest convergence that an order can tell of
+        self.assertIsNone(analysis.own_error((4, 2, 1), (math.log(4), math.log(2)))[0])
+
+    def test_order_is_not_believed_above_four(self):
+        order, own = analysis.own_error((4, 2, 1), (4**9 - 1, 2**9 - 1))
+        self.assertAlmostEqual(order, 4, 9)
+        self.assertAlmostEqual(own, (2**9 - 1) / (2**4 - 1), 6)
         self.assertRaises(ValueError, analysis.own_error, (1, 2, 4), (0.2, 0.1))
 
     def test_cheapest(self):
