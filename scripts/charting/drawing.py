@@ -5,13 +5,12 @@ from matplotlib import lines, ticker
 from pictures import pyplot
 
 from analysis import pareto
+from claims import INTEGRATORS, LAWS, usable
 from tools import REPOSITORY
 
 PLACE = os.path.join(REPOSITORY, "doc", "speed_accuracy")
 REAL_TIME = 1000  # ms per simulated second
 TOLD = 3          # points nearer to zero than so many times the reference's own error are hollow
-LAWS = {"corotated": "co-rotated", "green": "Green strain", "linear": "small strain"}
-INTEGRATORS = {"implicit_euler": "implicit Euler", "sdirk2": "SDIRK2", "explicit": "explicit"}
 # Okabe and Ito's colours, told apart by everyone
 LAW_COLORS = {"corotated": "#0072B2", "green": "#009E73", "linear": "#CC79A7"}
 INTEGRATOR_COLORS = {"implicit_euler": "#0072B2", "sdirk2": "#D55E00", "explicit": "#009E73"}
@@ -23,12 +22,7 @@ TITLES = {"tip": "tip", "field_rms": "whole body, root mean square", "field_max"
           "decay": "amplitude lost in a period"}
 
 
-def usable(rows, mode, error):
-    """Rows that have a time and this error, which is not 0."""
-    return [row for row in rows if row["mode"] == mode and row["ms_per_second"] and row[f"error_{error}"]]
-
-
-def panel(axes, rows, error, own, color, shape, unit):
+def panel(axes, rows, error, own, color, shape, unit, real_time=True):
     """One error of one mode. Hollow: too near to the reference's own error to be told."""
     for row in rows:
         value = 100 * row[f"error_{error}"]
@@ -43,24 +37,31 @@ def panel(axes, rows, error, own, color, shape, unit):
         times, errors = zip(*(points[k] for k in front))
         axes.step(times, errors, where="post", color="0.25", lw=1.1, zorder=2)
     axes.set(xscale="log", yscale="log", title=TITLES[error], ylabel=f"error ({unit})")
-    axes.axvline(REAL_TIME, color="0.35", lw=1, ls=(0, (5, 3)), zorder=1)
+    if real_time:
+        axes.axvline(REAL_TIME, color="0.35", lw=1, ls=(0, (5, 3)), zorder=1)
+        axes.annotate("real time", (REAL_TIME, 0.99), xycoords=("data", "axes fraction"), rotation=90, fontsize=7.5,
+                      color="0.35", ha="right", va="top")
     axes.grid(which="major", alpha=0.35)
     axes.grid(which="minor", alpha=0.12)
+    axes.yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(ticker.NullFormatter())
 
 
-def label_real_time(axes):
-    axes.annotate("real time", (REAL_TIME, 0.99), xycoords=("data", "axes fraction"), rotation=90, fontsize=7.5,
-                  color="0.35", ha="right", va="top")
+def foreign(axes, rows, mode, colors):
+    """Other programs' points: stars, named."""
+    for row in rows:
+        if row["mode"] == mode:
+            axes.scatter(row["ms"], 100 * row["error_tip"], marker="*", s=70, color=colors[row["program"]],
+                         edgecolors="black", linewidths=0.5, zorder=4)
 
 
 def legend(figure, entries, columns):
     handles = [lines.Line2D([], [], ls="" if marker else "-", marker=marker or None, color=color, ms=6, lw=1.1,
-                            mfc=fill if marker else None, mec=color if fill == "none" else "white", label=label)
+                            mfc=color if fill else "none", mec="white" if fill else color, label=label)
                for label, marker, color, fill in entries]
-    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.945), ncol=columns, frameon=False,
+    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.965), ncol=columns, frameon=False,
                   fontsize=8, handletextpad=0.3, columnspacing=1.4)
 
 
@@ -70,8 +71,15 @@ def save(figure, place, name):
     pyplot.close(figure)
 
 
-def draw(scene, title, rows, own, place):
-    """Two pictures: equilibria and motion."""
+def draw(scene, title, rows, own, place, others=()):
+    """
+    Three pictures: equilibria over the time of steps, equilibria over the time of finding them, and motion.
+    others  rows of other programs
+    """
+    names = sorted({row["program"] for row in others})
+    colors = dict(zip(names, ("#E69F00", "#F0E442", "#56B4E9", "0.6")))
+    stars = lambda mode: [(name, "*", colors[name], True) for name in names  # noqa: E731
+                          if any((row["program"], row["mode"]) == (name, mode) for row in others)]
     rules = {"font.family": "DejaVu Sans", "font.size": 8.5, "axes.titlesize": 9, "svg.hashsalt": scene,
              "svg.fonttype": "none"}
     with pyplot.rc_context(rules):
@@ -80,16 +88,27 @@ def draw(scene, title, rows, own, place):
             panel(axes, usable(rows, "static", error), error, own, lambda row: LAW_COLORS[row["elasticity"]],
                   lambda row: SHAPES[row["element"]], "% of the largest displacement" if error != "von_mises" else
                   "% of the probe's stress")
-            label_real_time(axes)
         for axes in all_axes[1]:
             axes.set_xlabel("time per simulated second, implicit Euler steps of 20 ms (ms/s)")
-        figure.suptitle(f"{title}: equilibrium, error against the law's own reference", y=0.98, fontsize=11)
-        entries = [(f"{LAWS[law]}, {element}", SHAPES[element], LAW_COLORS[law], "full")
-                   for law in LAWS for element in SHAPES]
-        entries += [("below 3 × reference's error", "o", "0.4", "none"), ("Pareto front", None, "0.25", "")]
+        figure.suptitle(f"{title}: equilibrium, error against the law's own reference", y=0.99, fontsize=11)
+        entries = [(f"{LAWS[law]}, {element}", SHAPES[element], LAW_COLORS[law], True)
+                   for law in LAWS for element in SHAPES
+                   if any((row["elasticity"], row["element"]) == (law, element) for row in rows)]
+        entries += [("below 3 × reference's error", "o", "0.4", False), ("Pareto front", None, "0.25", False)]
         legend(figure, entries, 4)
-        figure.tight_layout(rect=(0, 0, 1, 0.9))
+        figure.tight_layout(rect=(0, 0, 1, 0.92))
         save(figure, place, f"{scene}_static")
+
+        figure, axes = pyplot.subplots(figsize=(6.5, 5))
+        rests = [{**row, "ms_per_second": row["ms_static"]} for row in rows if row["mode"] == "static"]
+        panel(axes, usable(rests, "static", "tip"), "tip", own, lambda row: LAW_COLORS[row["elasticity"]],
+              lambda row: SHAPES[row["element"]], "% of the largest displacement", real_time=False)
+        foreign(axes, others, "static", colors)
+        axes.set(xlabel="time of finding the equilibrium (ms)", title="")
+        figure.suptitle(f"{title}: equilibrium, error of the tip", y=0.99, fontsize=11)
+        legend(figure, entries + stars("static"), 3)
+        figure.tight_layout(rect=(0, 0, 1, 0.88))
+        save(figure, place, f"{scene}_rest")
 
         figure, all_axes = pyplot.subplots(2, 2, figsize=(9.5, 8), sharex=True)
         for axes, error in zip(all_axes.ravel(), ("tip", "field_rms", "period", "decay")):
@@ -97,17 +116,17 @@ def draw(scene, title, rows, own, place):
                   lambda row: INTEGRATOR_COLORS[row["integrator"]],
                   lambda row: LAW_SHAPES[row["element"], row["elasticity"]],
                   {"period": "%", "decay": "percentage points"}.get(error, "% of the largest displacement"))
-            label_real_time(axes)
+        foreign(all_axes[0, 0], others, "dynamic", colors)
         all_axes[0, 0].set_title("way of the tip, root mean square in time")
         all_axes[0, 1].set_title("whole body, root mean square in space and time")
         for axes in all_axes[1]:
             axes.set_xlabel("time per simulated second (ms/s)")
-        figure.suptitle(f"{title}: motion, error against the law's own reference", y=0.98, fontsize=11)
-        entries = [(name, "o", INTEGRATOR_COLORS[key], "full") for key, name in INTEGRATORS.items()]
+        figure.suptitle(f"{title}: motion, error against the law's own reference", y=0.99, fontsize=11)
+        entries = [(name, "o", INTEGRATOR_COLORS[key], True) for key, name in INTEGRATORS.items()]
         present = {(row["element"], row["elasticity"]) for row in rows if row["mode"] == "dynamic"}
-        entries += [(f"{element}, {LAWS[law]}", shape, "0.4", "full") for (element, law), shape in LAW_SHAPES.items()
+        entries += [(f"{element}, {LAWS[law]}", shape, "0.4", True) for (element, law), shape in LAW_SHAPES.items()
                     if (element, law) in present]
-        entries += [("below 3 × reference's error", "o", "0.4", "none"), ("Pareto front", None, "0.25", "")]
-        legend(figure, entries, 4)
-        figure.tight_layout(rect=(0, 0, 1, 0.88))
+        entries += [("below 3 × reference's error", "o", "0.4", False), ("Pareto front", None, "0.25", False)]
+        legend(figure, entries + stars("dynamic"), 4)
+        figure.tight_layout(rect=(0, 0, 1, 0.905))
         save(figure, place, f"{scene}_dynamic")

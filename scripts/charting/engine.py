@@ -47,10 +47,8 @@ class Comparison:
 
     def _key(self, variant):
         parts = [digest(program("bench_variants")), digest(self.scene), self.settings, str(self.time_limit)]
-        for tree in (self.reference, variant):
-            parts.append(sorted(words(tree)))
-            if "model.file" in tree:
-                parts.append(digest(tree["model.file"]))
+        for tree in (self.reference, variant):  # a mesh counts by what is in it
+            parts.append(sorted(words({**tree, "model.file": digest(tree["model.file"])} if "model.file" in tree else tree)))
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
 
     def _kept(self, variant):
