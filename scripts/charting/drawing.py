@@ -67,7 +67,8 @@ def legend(figure, entries, columns):
 
 def save(figure, place, name):
     for kind in ("png", "svg"):
-        figure.savefig(os.path.join(place, f"{name}.{kind}"), dpi=130, metadata={"Date": None} if kind == "svg" else None)
+        figure.savefig(os.path.join(place, f"{name}.{kind}"), dpi=130,
+                       metadata={"Date": None} if kind == "svg" else None)
     pyplot.close(figure)
 
 

@@ -48,7 +48,8 @@ class Comparison:
     def _key(self, variant):
         parts = [digest(program("bench_variants")), digest(self.scene), self.settings, str(self.time_limit)]
         for tree in (self.reference, variant):  # a mesh counts by what is in it
-            parts.append(sorted(words({**tree, "model.file": digest(tree["model.file"])} if "model.file" in tree else tree)))
+            parts.append(sorted(words({key: digest(value) if key == "model.file" else value
+                                       for key, value in tree.items()})))
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
 
     def _kept(self, variant):
@@ -109,8 +110,9 @@ class Comparison:
 def short(variant):
     """A variant in a few words: its mesh, and what is not the default."""
     mesh = os.path.splitext(os.path.basename(variant["model.file"]))[0]
-    return ", ".join([f"{variant['element']} {mesh}"] + [f"{key.split('.')[-1]} {value}"
-                     for key, value in variant.items() if key in DEFAULTS and key != "element" and value != DEFAULTS[key]])
+    changed = [f"{key.split('.')[-1]} {value}" for key, value in variant.items()
+               if key != "element" and value != DEFAULTS.get(key, value)]
+    return ", ".join([f"{variant['element']} {mesh}", *changed])
 
 
 def outcome(row):

@@ -1,7 +1,7 @@
 """
-Meshes of one and the same body: what is held and what is loaded is settled on the scene's own mesh, and stays that part of
-the body however finely it is cut. Meshes of other cell sizes are other bodies, because CGAL rounds a surface differently
-and a box selects other corners.
+Meshes of one and the same body: what is held and what is loaded is settled on the scene's own mesh, and stays that part
+of the body however finely it is cut. Meshes of other cell sizes are other bodies, because CGAL rounds a surface
+differently and a box selects other corners.
 """
 import copy
 import importlib.machinery

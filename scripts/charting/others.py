@@ -34,18 +34,19 @@ def lines(*command):
 
 def ways(study, law):
     """Where the references' tip goes: at rest, and over time."""
+    references = {mode: study.references[f"{mode} {law}"]["overrides"] for mode in ("static", "dynamic")}
+
     def compute():
         result = {}
         for mode, arguments in (("static", ["--static"]), ("dynamic", ["--duration", study.duration])):
             out = folder(study.name, "ways")
-            values = {key.replace(".", "__"): value for key, value in study.references[f"{mode} {law}"]["overrides"].items()}
+            values = {key.replace(".", "__"): value for key, value in references[mode].items()}
             run_scene(study.scene, out, *arguments, "--probes", os.path.join(out, "probes.csv"), **values)
             times, way = read_probe(os.path.join(out, "probes.csv"), TIP)
             result[mode] = [times.tolist(), way.tolist()]
         return result
 
-    of = [digest(program("run_scene")), [study.references[f"{mode} {law}"]["overrides"] for mode in ("static", "dynamic")]]
-    result = kept(f"reference_{law}", of, compute)
+    result = kept(f"reference_{law}", [digest(program("run_scene")), references], compute)
     return {mode: tuple(np.array(part) for part in pair) for mode, pair in result.items()}
 
 

@@ -39,7 +39,7 @@ def references(study):
         mode, law = key.split()
         own = study.own[key]
         rows.append([{"static": "equilibrium", "dynamic": "motion"}[mode], LAWS[law], told["tets"], told["nodes"],
-                     *(percent(own[name]) if mode == "dynamic" or name not in ("period", "decay") else "" for name in SHOWN),
+                     *(percent(own[name]) if own[name] is not None else None for name in SHOWN),
                      ", ".join("none" if p is None else f"{p:.1f}" for p in study.orders[key]["tip"])])
     yield from table(["", "law", "tets", "nodes", *SHOWN.values(), "order, tip"], rows)
 
@@ -87,7 +87,7 @@ def write(studies):
 def text(studies, checks, lines):
     yield from paragraph("# Speed against accuracy")
     yield from paragraph(f"""
-        Written by `scripts/chart`, which measures all of it again (`scripts/chart SCENE.yaml` does so for another scene).
+        Written by `scripts/chart`, which measures all of it again (`scripts/chart SCENE.yaml`: for another scene).
         {machine()}; one thread, double precision. Every system is solved to the tolerance of its row, 1e-4 unless the
         row says otherwise, equilibria to 1e-6; the times are wall clock, all steps of 1 s of motion (bar: of 2 s).""")
     yield from paragraph("## What to choose when")
@@ -119,9 +119,9 @@ def text(studies, checks, lines):
             yield from paragraph(f"""
                 Stars are other programs, on the bar's own meshes and against the same references
                 ([{study.name}_others.csv](speed_accuracy/{study.name}_others.csv)): Bullet's deformable body, linear
-                tetrahedra with lumped masses, co-rotated, with its demos' settings (*default*: one Newton iteration) and
-                with four (*converged*), at rest damped until it stands still; CalculiX with C3D4 and C3D10, Green strain
-                (NLGEOM) and small strain, the whole run with reading and writing.""")
+                tetrahedra with lumped masses, co-rotated, with its demos' settings (*default*: one Newton iteration)
+                and with four (*converged*), at rest damped until it stands still; CalculiX with C3D4 and C3D10, Green
+                strain (NLGEOM) and small strain, the whole run with reading and writing.""")
             yield from table(["program", "settings", "law", "tets", "", "time step", "time", "error of the tip"],
                              [[row["program"], row["settings"], LAWS[row["law"]], row["tets"],
                                {"static": "at rest", "dynamic": "motion"}[row["mode"]],
@@ -130,15 +130,15 @@ def text(studies, checks, lines):
                                percent(row["error_tip"])] for row in study.others])
     yield from paragraph("## Quadratic against linear elements at equal accuracy")
     yield from paragraph(f"""
-        Of each element the fastest model whose tip at rest is within {percent(studies[0].equal['wanted'])} of the reference,
-        co-rotated; a step of 20 ms of implicit Euler, tolerance 1e-4. For the bar cells of any proportion were searched;
-        for the others the meshes of the chart. *Same solver*: conjugate gradients with the 3×3 diagonal blocks,
+        Of each element the fastest model whose tip at rest is within {percent(studies[0].equal['wanted'])} of the
+        reference, co-rotated; a step of 20 ms of implicit Euler, tolerance 1e-4. For the bar cells of any proportion
+        were searched; for the others the meshes of the chart, against references that err themselves, see below. *Same solver*: conjugate gradients with the 3×3 diagonal blocks,
         matrix-free. *Best*: the fastest of that, `pmultigrid` and the assembled matrix.""")
     yield from comparison_of_elements(studies)
     yield from paragraph("## How the references were verified")
     yield from paragraph("""
-        Quadratic elements with `rotation: four`, which is the gradient of an energy and so converges from one side; finer
-        at the rims of what is held. Two coarser models of the same kind give the order p and, by Richardson, the
+        Quadratic elements with `rotation: four`, which is the gradient of an energy and so converges from one side;
+        finer at the rims of what is held. Two coarser models of the same kind give the order p and, by Richardson, the
         reference's own error C hᵖ (*none*: the differences tell of no order, and the larger one is taken); for motion
         the same with two larger time steps, and both are added. h of adapted meshes is the cube root of the body's
         share for a tetrahedron. Own
@@ -151,6 +151,6 @@ def text(studies, checks, lines):
             {percent(apart['green'])}, small strain {percent(apart['linear'])}.""")
     yield from paragraph("""
         Meshes of a surface at other cell sizes are not compared: they are other bodies, because CGAL rounds a surface
-        differently and boxes and spheres hold other corners. What is held and loaded is what the scene selects on its own
-        mesh, whole faces, and stays so while that mesh is cut: evenly, every edge into equal parts, or adapted, where
+        differently and boxes and spheres hold other corners. What is held and loaded is what the scene selects on its
+        own mesh, whole faces, and stays so while that mesh is cut: evenly, every edge into equal parts, or adapted, where
         the equilibrium's gradient is uneven and at the rims of what is held.""")

@@ -16,6 +16,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 sys.dont_write_bytecode = True
 sys.path[:0] = [os.path.join(HERE, "..", "..", "scripts", part) for part in ("charting", "reproduction")]
 import analysis  # noqa: E402  (the path comes first)
+import claims  # noqa: E402
 import engine  # noqa: E402
 import meshes  # noqa: E402
 import tools  # noqa: E402
@@ -165,6 +166,90 @@ class Meshes(unittest.TestCase):
         np.testing.assert_array_equal(meshes.worst(np.array([1.0, 6, 0, 3]), 0.5), [False, True, False, False])
 
 
+class Claims(unittest.TestCase):
+    """A made-up bar whose errors and times follow formulas, and what is said of it."""
+
+    tets = {"2x2x5": 120, "2x2x5_graded_1": 240, "4x4x10": 960}
+
+    class Study:
+        name, title = "bar", "Bar"
+
+    def study(self, ratios=(900, 300), **bent):
+        """`bent` multiplies the error or the time of what it names."""
+        study = self.Study()
+        study.rows = []
+        study.own = {"static corotated": {"tip": 0.001}}
+        study.apart = {"green": 0.02 * bent.get("green", 1), "linear": 0.1}
+        study.equal = {"wanted": 0.015}
+        for element in ("quadratic", "linear"):
+            study.equal[element] = {"reached": True, **{
+                name: {"ms": 0.1 * (ratio if element == "linear" else 1), "tets": 9} for name, ratio in
+                zip(("same", "best"), ratios)}}
+
+        def add(mode, mesh, **changes):
+            row = {**engine.DEFAULTS, "mode": mode, "mesh": mesh, "tets": self.tets[mesh], **changes}
+            step, rule = row["time_step"], row["rotation"]
+            of_mesh = 1.5 / row["tets"] * (20 * bent.get("linear", 1) if row["element"] == "linear" else 1)
+            of_mesh *= {"corners": 1, "centroid": 1.5, "four": 2 * bent.get("four", 1)}[rule]
+            of_mesh *= 0.1 * bent.get("graded", 1) if "graded" in mesh else 1
+            of_step = {"implicit_euler": 7 * bent.get("euler", 1) * step, "sdirk2": 25 * step**2, "explicit": 0}
+            loose = 0.1 * row["solver.tolerance"] * bent.get("tolerance", 1)
+            row["error_tip"] = of_mesh + (mode == "dynamic") * (of_step[row["integrator"]] + loose)
+            cost = {"implicit_euler": 1, "sdirk2": 2 * bent.get("sdirk2", 1), "explicit": 0.5}[row["integrator"]]
+            cost *= row["tets"] * 1e-3
+            cost *= {"auto": 1, "block_jacobi": 2}[row["solver.preconditioner"]]
+            cost *= {"matrix_free": 1, "assembled": 2 * bent.get("assembled", 1)}[row["solver.operator"]]
+            cost *= bent.get("explicit", 3) if "graded" in mesh and row["integrator"] == "explicit" else 1
+            row["ms_per_step"], row["ms_per_second"] = cost, cost / step
+            study.rows.append(row)
+
+        for mesh in self.tets:
+            for element in ("quadratic", "linear"):
+                for law in claims.LAWS:
+                    add("static", mesh, element=element, elasticity=law)
+                    add("dynamic", mesh, element=element, elasticity=law)
+            for step in (0.01, 0.005, 0.002):
+                add("dynamic", mesh, time_step=step)
+            for step in (0.02, 0.01, 0.005):
+                add("dynamic", mesh, integrator="sdirk2", time_step=step)
+            for rule in ("centroid", "four"):
+                add("static", mesh, rotation=rule)
+            for rule in ("corners", "centroid", "four"):
+                add("dynamic", mesh, rotation=rule, integrator="explicit", time_step=0.005)
+            for tolerance in (1e-1, 1e-2, 1e-3, 1e-6):
+                add("dynamic", mesh, integrator="sdirk2", time_step=0.005, **{"solver.tolerance": tolerance})
+            add("dynamic", mesh, **{"solver.preconditioner": "block_jacobi"})
+            add("dynamic", mesh, **{"solver.operator": "assembled"})
+        return study
+
+    def broken(self, **bent):
+        return [k for k, (_, holds) in enumerate(claims.advice([self.study(**bent)]), 1) if not holds]
+
+    def test_ten_lines_that_hold(self):
+        self.assertEqual(self.broken(), [])
+        self.assertEqual(len(list(claims.advice([self.study()]))), 10)
+
+    def test_each_line_can_be_refuted(self):
+        for line, bent in ((1, {"linear": 0.01}), (2, {"ratios": (199, 300)}), (2, {"ratios": (900, 99)}),
+                           (3, {"graded": 3}), (4, {"euler": 0.02}), (5, {"sdirk2": 3}), (6, {"explicit": 0.9}),
+                           (7, {"tolerance": 1e5}), (8, {"four": 0.3}), (9, {"green": 10}), (10, {"assembled": 0.3})):
+            self.assertIn(line, self.broken(**bent), bent)
+
+    def test_promises(self):
+        checks = {claim: holds for claim, _, holds in claims.claims([self.study()])}
+        self.assertEqual([claim for claim, holds in checks.items() if not holds], ["At least 200 points for the bar"])
+        study = self.study(ratios=(199, 99))
+        study.own["static corotated"]["tip"] = 0.006
+        self.assertEqual([holds for _, _, holds in claims.claims([study])], [False] * 4)
+
+    def test_what_is_not_reached_is_a_bound(self):
+        study = self.study()
+        study.equal["linear"]["reached"] = False
+        self.assertEqual(claims.ratio_of(study, "best"), "not reached with 9 tets, so more than 300")
+        study.equal["quadratic"]["reached"] = False
+        self.assertIn("not reached by quadratic", claims.ratio_of(study, "best"))
+
+
 @unittest.skipIf(PROGRAM is None, "no program given")
 class Engine(unittest.TestCase):
     def test_tiny_grid(self):
@@ -180,7 +265,8 @@ class Engine(unittest.TestCase):
                 paths.append(os.path.join(folder, "x".join(map(str, cells)) + ".msh"))
                 body.write(paths[-1])
             body.write(os.path.join(folder, "bar.msh"))
-            variants = [{"model.file": path, "element": element} for path in paths for element in ("linear", "quadratic")]
+            variants = [{"model.file": path, "element": element}
+                        for path in paths for element in ("linear", "quadratic")]
             grid = engine.Comparison("test", os.path.join(folder, "scene.yaml"), 0, variants[-1])
             rows = grid.run(variants)
             self.assertEqual([row["tets"] for row in rows], [12, 12, 120, 120, 960, 960])
