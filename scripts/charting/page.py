@@ -132,8 +132,9 @@ def text(studies, checks, lines):
     yield from paragraph(f"""
         Of each element the fastest model whose tip at rest is within {percent(studies[0].equal['wanted'])} of the
         reference, co-rotated; a step of 20 ms of implicit Euler, tolerance 1e-4. For the bar cells of any proportion
-        were searched; for the others the meshes of the chart, against references that err themselves, see below. *Same solver*: conjugate gradients with the 3×3 diagonal blocks,
-        matrix-free. *Best*: the fastest of that, `pmultigrid` and the assembled matrix.""")
+        were searched; for the others the meshes of the chart, against references that err themselves, see below.
+        *Same solver*: conjugate gradients with the 3×3 diagonal blocks, matrix-free.
+        *Best*: the fastest of that, `pmultigrid` and the assembled matrix.""")
     yield from comparison_of_elements(studies)
     yield from paragraph("## How the references were verified")
     yield from paragraph("""
@@ -152,5 +153,5 @@ def text(studies, checks, lines):
     yield from paragraph("""
         Meshes of a surface at other cell sizes are not compared: they are other bodies, because CGAL rounds a surface
         differently and boxes and spheres hold other corners. What is held and loaded is what the scene selects on its
-        own mesh, whole faces, and stays so while that mesh is cut: evenly, every edge into equal parts, or adapted, where
-        the equilibrium's gradient is uneven and at the rims of what is held.""")
+        own mesh, whole faces, and stays so while that mesh is cut: evenly, every edge into equal parts, or adapted,
+        where the equilibrium's gradient is uneven and at the rims of what is held.""")
