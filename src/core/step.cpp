@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <numeric>
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/green_strain.h"
@@ -131,6 +133,7 @@ private:
     constexpr int MAX_TRIALS = 8;
     constexpr double ENOUGH = 0.5;
     Stopwatch watch;
+    keepMomentum();
     const auto along = [&](const Rotations& rotations) {
       elasticForce(model_, w_.partition, rotations, state_.x, w_.force);
       return h * nodes(w_.force, model_).cwiseProduct(w_.change.matrix()).sum();
@@ -150,6 +153,20 @@ private:
       state_.x.matrix() += h * (next - length) * w_.change.matrix();
       length = next;
       turn(state_.x, state_.rotations, w_.candidate, report);
+    }
+  }
+
+  /** Takes the translation along axes that nothing holds out of `change`: gravity's share of it is not to be shortened.
+   */
+  void keepMomentum()
+  {
+    const int held = std::accumulate(supports_.held.begin(), supports_.held.end(), 0, std::bit_or<>());
+    Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+    for (int i = 0; i < model_.num_nodes; ++i) mean += model_.node_mass[i] * w_.change[i];
+    mean /= std::accumulate(model_.node_mass.begin(), model_.node_mass.end(), 0.0);
+    for (int axis = 0; axis < 3; ++axis)
+    {
+      if (!(held >> axis & 1)) w_.change.matrix().row(axis).array() -= mean[axis];
     }
   }
 
