@@ -16,8 +16,8 @@ namespace
 {
 constexpr double REFERENCE_SHARE = 0.25;  // of the wanted error, that the reference's own may be
 constexpr double CLIMB_SHARE = 0.5;       // of the time for tuning, until the reference stands
+constexpr double CLIMB_LIMIT = 0.65;      // after which the last run of that is stopped
 constexpr double EXACT_TOLERANCE = 1e-8;
-constexpr std::array<double, 4> TOLERANCES{1e-1, 1e-2, 1e-3, 1e-4};
 constexpr int OWN_MESH = 0;                    // level: the scene's cell size; of a file of tetrahedra, not refined
 constexpr int FIRST_STEP = -1, LAST_STEP = 8;  // time steps: the scene's / 2^j
 constexpr int FIRST_SURFACE_LEVEL = -4, LAST_SURFACE_LEVEL = 16;  // cell sizes: the scene's / 2^(k/4)
@@ -151,7 +151,7 @@ private:
   Recording reference_;
   int reference_level_ = 0;
   std::optional<Trial> best_;
-  std::string local_;  // what came of refining locally
+  std::string local_ = " There was no time left for graded meshes.";
 
   // The grid
 
@@ -200,7 +200,9 @@ private:
     return statics() ? ms_per_step : ms_per_step * scene_.time_step / time_step;
   }
 
-  Recording run(Trial::Role role, const Numerics& n)
+  Recording run(Trial::Role role, const Numerics& n) { return run(role, n, request_.seconds); }
+  /** @param until  seconds passed after which it is stopped */
+  Recording run(Trial::Role role, const Numerics& n, double until)
   {
     if (progress_)
     {
@@ -210,7 +212,7 @@ private:
                 ", tolerance " + printed(n.tolerance) + "; " + std::to_string(result_.trials.size()) + " models run");
     }
     RunPlan plan = request_.plan;
-    plan.time_limit = std::max(1.0, left());
+    plan.time_limit = std::max(1.0, until - passed());
     Scene scene = with(scene_, n);
     // What others are measured by has to be solved, whatever it takes.
     if (role != Trial::Role::CANDIDATE) scene.solver.max_iterations = std::max(scene.solver.max_iterations, 20000);
@@ -325,7 +327,9 @@ private:
     {
       if (!std::isnan(result_.reference_error) && passed() + growth * wall > CLIMB_SHARE * request_.seconds) break;
       const double before = passed();
-      Recording r = run(Trial::Role::MESH, numerics(Element::QUADRATIC, level, reference_step_, reference_tolerance_));
+      // The first ones may take all the time that there is: without them nothing can be said.
+      Recording r = run(Trial::Role::MESH, numerics(Element::QUADRATIC, level, reference_step_, reference_tolerance_),
+                        (std::isnan(result_.reference_error) ? 1 : CLIMB_LIMIT) * request_.seconds);
       wall = passed() - before;
       if (r.status != RunStatus::OK)
       {
@@ -491,6 +495,7 @@ private:
     constexpr int MOST_TRIED = 5;
     for (int k = 0; k < MOST_TRIED && left() > 0; ++k)
     {
+      local_ = " No graded mesh that was tried was as accurate.";
       // A quarter of the elements of the uniform mesh, then 2^(3/4) times as many each time
       const double factor = *uniform.numerics.cell_size / own_cell * std::cbrt(4) * std::pow(2, -k / 4.0);
       std::vector<SizePoint> sizes = balanced;
@@ -512,7 +517,6 @@ private:
                percent(uniform.error) + ", " + printed(uniform.cost) + " ms.";
       break;
     }
-    if (local_.empty()) local_ = " No graded mesh that was tried was as accurate.";
     if (!best_->numerics.sizing) std::remove(n.sizing->c_str());
   }
 
@@ -599,7 +603,7 @@ private:
                  : " The wanted " + percent(request_.error) +
                        " could not be shown in the time for tuning: the reference itself is not certain to that.";
     }
-    result_.why = why + local_;
+    result_.why = why + (result_.accurate && request_.local ? local_ : "");
   }
 };
 }  // namespace

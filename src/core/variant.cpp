@@ -183,7 +183,7 @@ private:
 class Interpolated
 {
 public:
-  Interpolated(const Recording& recording, double time) : recording_(recording)
+  Interpolated(const Recording& recording, double time)
   {
     const std::vector<double>& t = recording.times;
     count_ = std::min<std::size_t>(4, t.size());
@@ -206,7 +206,6 @@ public:
   }
 
 private:
-  const Recording& recording_;
   std::size_t first_ = 0, count_ = 0;
   std::array<double, 4> weights_{};
 };
