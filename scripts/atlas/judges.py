@@ -32,7 +32,7 @@ def percent(value):
 
 # The truth ---------------------------------------------------------------------------------------------------------
 def law(method):
-    """The material law whose truth a method has to meet. Small strain has to meet the co-rotated one's: nature turns."""
+    """The material law whose truth a method has to meet; for small strain the co-rotated one: nature turns."""
     return "green" if "green" in method else "corotated"
 
 

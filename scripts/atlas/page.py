@@ -134,13 +134,13 @@ def introduction(checks):
     tolerance = f"{100 * judges.TOLERANCE:g} %"
     yield from table(["provocation", "truth", "right"], [
         ["time step, E, density (let go from rest)", "explicit steps at a tolerance of 1e-6, with four rotations an "
-         "element where co-rotated, which keep energy; E 1 Pa: free fall; E above 10 MPa: E 10 MPa's path, displacement "
-         "as 1/E. Density, 10⁶ times less in the half at the wall: 10³ times less, which is as little",
+         "element where co-rotated, which keep energy; E 1 Pa: free fall; E above 10 MPa: E 10 MPa's path, "
+         "displacement as 1/E. Density, 10⁶ times less in the half at the wall: 10³ times less, which is as little",
          f"tip in the second half of the run: mean position and root mean square of the swing about it both within "
          f"{tolerance} (of the largest displacement; of the swing)"],
         ["ν, element size, slivers, 10 km; 1 s with E 20 kPa (damped until it rests)",
-         "static equilibrium, co-rotated, of 2592 elements graded towards the clamped edges (20 kPa: of the same mesh and "
-         "law)",
+         "static equilibrium, co-rotated, of 2592 elements graded towards the clamped edges (20 kPa: of the same mesh "
+         "and law)",
          f"tip within {tolerance} of its displacement, and moving by at most {100 * judges.MOVING:g} % of it over the "
          "last tenth of the run"],
         ["twist (a bar of 0.1 × 0.1 × 1 m, one end turned in 2 s)", "each section turned by its share of the angle",
@@ -168,8 +168,8 @@ def truths(parts):
 def shortcomings(verdicts):
     yield from paragraph("## Where the default is wrong")
     yield from paragraph("""
-        Implicit Euler damps: what swings within some dozens of steps is gone, and where it ends is right. The same cells
-        with `integrator: auto`, of second order:""")
+        Implicit Euler damps: what swings within some dozens of steps is gone, and where it ends is right. The same
+        cells with `integrator: auto`, of second order:""")
     rows = []
     for provocations in columns.columns().values():
         for p in provocations:
@@ -194,9 +194,9 @@ def lag(verdicts):
     provocations = columns.columns()["spin"]
     firsts = [verdicts[p.key]["plain_polar"]["first"] for p in provocations]
     yield from paragraph("""
-        A step of a co-rotated body that turns by α, with the rotations of its start, makes it longer by √(1 + α²); stiff
-        bodies ring with that energy. The first step's length, with one lagged step (plain polar decomposition) and as the
-        package does it, in sub-steps beyond 0.2 rad:""")
+        A step of a co-rotated body that turns by α, with the rotations of its start, makes it longer by √(1 + α²);
+        stiff bodies ring with that energy. The first step's length, with one lagged step (plain polar decomposition)
+        and as the package does it, in sub-steps beyond 0.2 rad:""")
     yield from table(["α", *(p.label for p in provocations)],
                      [["√(1 + α²)", *(f"{np.hypot(1, float(p.label)):.3f}" for p in provocations)],
                       ["one lagged step", *("" if first is None else f"{first:.3f}" for first in firsts)],
@@ -206,8 +206,8 @@ def lag(verdicts):
 def scramble_section(part):
     yield from paragraph("## The random scramble")
     yield from paragraph(f"""
-        Every free corner of the bar starts at a random place of its box: {SEEDS} seeds, 6 s, no weight. Where a body does
-        not come back, elements are inside out against each other, or the bar is twisted by a whole turn: equilibria of
+        Every free corner of the bar starts at a random place of its box: {SEEDS} seeds, 6 s, no weight. Where a body
+        does not come back, elements are inside out against each other, or the bar is twisted by a whole turn: equilibria of
         their own. What changes the rate:""")
     yield from table(["", "recovered", "blown up", "s a run"],
                      [[rate["name"], f"{rate['recovered']} of {SEEDS}", rate["lost"], f"{rate['seconds']:.2f}"]

@@ -1,4 +1,4 @@
-"""What provokes: scenes, each with the truth that it is judged by. A scene here is the default one but for what it names."""
+"""What provokes: scenes, each with the truth that it is judged by. What a scene does not name is left at its default."""
 import copy
 import os
 import threading
@@ -67,7 +67,7 @@ class Provocation:
 
 
 def swings():
-    """Let go from rest. The truth: explicit steps of the same mesh with four rotations an element, which keep energy."""
+    """Let go from rest. The truth: explicit steps of the same mesh, four rotations an element, which keep energy."""
     for step in (1e-4, 1e-3, 5e-3, 2e-2, 1e-1, 1.0):
         yield Provocation(f"step_{step:g}", "time step", f"{step * 1000:g} ms" if step < 1 else f"{step:g} s",
                           scene(time_step=step), max(2.0, 20 * step), "swing", own_step=True, reference="bar")
@@ -114,8 +114,8 @@ def settled():
 
 
 def fine(**values):
-    """For the equilibrium under the bar's weight, where the material laws are 1 % apart. Green's strain has none to offer
-    on a fine mesh: it turns elements inside out at the clamped edges."""
+    """For the equilibrium under the bar's weight, where the material laws are 1 % apart. Green's strain has none to
+    offer on a fine mesh: it turns elements inside out at the clamped edges."""
     return scene(mesh("fine.msh", *bodies.graded((6, 6, 12))), wall=-0.009, elasticity="corotated", **values)
 
 
@@ -128,9 +128,10 @@ def locking():
                            ("quadratic, dilatation: auto (the default)", {})):
             for poisson in (0.34, 0.49, 0.499, 0.4999):
                 key = f"locking_{cells[0]}_{name.split(':')[-1].strip().split()[0]}_{poisson:g}"
+                tree = scene(file, material__poisson=poisson, **keys)
                 cases.append(((name, "{} x {} x {}".format(*cells), f"{poisson:g}"),
-                              Provocation(key, "locking", f"{poisson:g}", scene(file, material__poisson=poisson, **keys),
-                                          None, "rest", static=fine(material__poisson=poisson))))
+                              Provocation(key, "locking", f"{poisson:g}", tree, None, "rest",
+                                          static=fine(material__poisson=poisson))))
     return cases
 
 
@@ -206,8 +207,8 @@ def starts():
     points, _ = bodies.bar()
     corner = int(np.argmin(np.linalg.norm(points - [0.4, 0, 1], axis=1))) + 1
     push = {"nodes": [corner], "force": (PUSH * np.array([-1, 1, -1]) / np.sqrt(3)).tolist(), "until": 1.0}
-    yield Provocation("pushed", "start", "inverted by a force", scene(gravity=[0, 0, 0], damping=SETTLING, loads=[push]),
-                      6.0, "recovery", pushed=True)
+    tree = scene(gravity=[0, 0, 0], damping=SETTLING, loads=[push])
+    yield Provocation("pushed", "start", "inverted by a force", tree, 6.0, "recovery", pushed=True)
 
 
 def all_of_them():

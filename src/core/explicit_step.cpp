@@ -72,8 +72,7 @@ public:
     w_.led.setZero();
     kick(h / 2, state_.time + h);
     // Squares overflow before positions do.
-    report_.finite =
-        state_.x.matrix().allFinite() && state_.v.matrix().allFinite() && std::isfinite(report_.residual);
+    report_.finite = state_.x.matrix().allFinite() && state_.v.matrix().allFinite() && std::isfinite(report_.residual);
   }
 
 private:
