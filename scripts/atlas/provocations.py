@@ -191,8 +191,8 @@ SCRAMBLE_REMEDIES = {
 
 
 def scrambled(seed, keys):
-    tree = scene(gravity=[0, 0, 0], damping=SETTLING, initial=scramble(seed),
-                 **{key: value for key, value in keys.items() if key != "duration"})
+    of_the_scene = {key: value for key, value in keys.items() if key != "duration"}
+    tree = scene(gravity=[0, 0, 0], initial=scramble(seed), **{"damping": SETTLING, **of_the_scene})
     return Provocation(f"scrambled_{seed}", "start", "scrambled", tree, keys.get("duration", 6.0), "recovery")
 
 
