@@ -209,8 +209,8 @@ def scramble_section(part):
     yield from paragraph(f"""
         Every free corner of the bar starts at a random place of its box: {SEEDS} seeds, 6 s, no weight. Where a body
         does not come back, elements are inside out against each other, or the bar is twisted by a whole turn: equilibria
-        of their own. Only a law without rotations has no others to end in: a second of `elasticity: linear` first would
-        bring every body back. What else might change the rate; of {SEEDS} seeds its standard deviation is
+        of their own. A law without rotations has no others to end in: a run with `elasticity: linear` first is a way
+        back. What might change the rate; its standard deviation over {SEEDS} seeds is
         {np.sqrt(rate * (1 - rate) * SEEDS):.0f}:""")
     yield from table(["", "recovered", "blown up", "s a run"],
                      [[rate["name"], f"{rate['recovered']} of {SEEDS}", rate["lost"], f"{rate['seconds']:.2f}"]
