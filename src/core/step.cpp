@@ -59,7 +59,9 @@ public:
     double h = settings_.time_step;
     while (report.finite && (report.substeps == 0 || end - state_.time > 0.5 * shortest))
     {
-      h = std::min(h, end - state_.time);
+      // A whole step is just that, whatever rounding says of its end; the last sub-step takes what is left.
+      const double left = end - state_.time;
+      if (h < settings_.time_step && left - h < 0.5 * shortest) h = left;
       if (w_.history_is_of_stages != report.second_order) w_.history = 0;
       w_.history_is_of_stages = report.second_order;
       w_.x_before.matrix() = state_.x.matrix();
