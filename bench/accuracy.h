@@ -21,6 +21,12 @@ Table convergence();
 /** The clamped bar's lowest ten frequencies, beside a dense element of other making and beam theory. */
 Table frequencies();
 
+/**
+ * Near incompressibility: errors of linear and quadratic elements, the latter with either dilatation, as Poisson's
+ * ratio goes to one half.
+ */
+Table locking();
+
 /** What a free spin and a free swing keep of momentum, angular momentum and energy; a row every 0.1 s of each run. */
 Table spin();
 

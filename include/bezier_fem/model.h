@@ -31,6 +31,7 @@ struct Model
   std::vector<double> volumes;      // num_tets, m^3, positive
   Eigen::Matrix3Xd gradients;       // 3 x (3 num_tets): g_1, g_2, g_3 of each element, 1/m; g_0 = -(g_1 + g_2 + g_3)
   std::vector<Material> materials;  // num_tets
+  Dilatation dilatation = Dilatation::FULL;
 
   std::vector<int> node_of_corner;       // mesh corner -> node
   std::vector<std::array<int, 2>> ends;  // node -> its two mesh corners (equal for a corner's node)
@@ -52,6 +53,7 @@ struct Model
   AlignedVector<int> block_nodes;            // [block][nodes_per_tet][LANES]
   AlignedVector<double> block_gradients;     // [block][9][LANES], g_1 g_2 g_3, 1/m
   AlignedVector<double> block_coefficients;  // [block][3][LANES]: V lambda_L, V mu (Pa m^3), V rho (kg)
+  AlignedVector<double> block_mean;          // [block][LANES]: V meanLambda() (Pa m^3); empty where all are zero
 
   const int* nodesOf(int tet) const { return tets.data() + static_cast<std::ptrdiff_t>(tet) * nodes_per_tet; }
   bool quadratic() const { return nodes_per_tet == QUADRATIC_NODES; }
@@ -68,7 +70,8 @@ struct Model
  * @param mesh       corners in the world frame, m
  * @param materials  one a mesh tet
  */
-Model buildModel(const TetMesh& mesh, Element element, const std::vector<Material>& materials);
+Model buildModel(const TetMesh& mesh, Element element, const std::vector<Material>& materials,
+                 Dilatation dilatation = Dilatation::FULL);
 
 /** Changes the material of every element: one a mesh tet. Geometry and numbering stay. */
 void setMaterials(Model& model, const std::vector<Material>& materials);
@@ -83,5 +86,16 @@ inline double lameMu(const Material& m)
 {
   return m.young / (2 * (1 + m.poisson));
 }
+
+/** Above this Poisson's ratio Dilatation::AUTO is MEAN. */
+constexpr double LOCKING_POISSON = 0.45;
+
+/**
+ * The part of an element's lambda that acts on the mean over the element of the strain's trace, not on the trace at
+ * each point, Pa. Were it all of lambda (Nagtegaal, Parks, Rice 1974; Hughes 1980), the pressure would be constant in
+ * an element, and of lower order than the strain. With Dilatation::MEAN it is what exceeds the lambda of a Poisson's
+ * ratio of 0.3 at the same shear modulus: the rest is as at every point and too soft to lock.
+ */
+double meanLambda(const Model& model, int tet);
 
 }  // namespace bezier_fem

@@ -33,6 +33,14 @@ enum class RotationRule
   FOUR_POINTS     // four rotations, at the points of the rule of degree 2 (after Mezger et al. 2008)
 };
 
+/** The change of volume that quadratic elements resist; linear ones have one only, and Green's strain has FULL. */
+enum class Dilatation
+{
+  AUTO,  // MEAN in nearly incompressible elements
+  FULL,  // that at every point: locks as Poisson's ratio goes to 0.5
+  MEAN   // in part its mean over the element (model.h)
+};
+
 enum class Integrator
 {
   IMPLICIT_EULER,
@@ -89,6 +97,7 @@ struct Scene
   Element element = Element::QUADRATIC;
   Elasticity elasticity = Elasticity::COROTATED;
   RotationRule rotation = RotationRule::FROM_CORNERS;
+  Dilatation dilatation = Dilatation::AUTO;
 
   Material material;
   struct MaterialOverride  // later ones win
@@ -130,6 +139,7 @@ struct Scene
   {
     std::optional<std::string> positions;                // absolute path of a CSV file: node,x,y,z
     Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  // m/s
+    Eigen::Vector3d spin = Eigen::Vector3d::Zero();      // rad/s, about the centre of mass
   } initial;
 
   struct Fixed

@@ -63,6 +63,7 @@ public:
   const Scene& scene() const { return scene_; }
   const Model& model() const { return model_; }
   const State& state() const { return state_; }
+  const std::vector<AppliedLoad>& loads() const { return loads_; }
   double time() const { return state_.time; }  // s
 
   // What acts from outside, beside the scene's own loads
@@ -114,6 +115,7 @@ private:
 
   std::vector<Material> materials(const Material& base) const;
   void checkExplicit() const;
+  void addSpin();
 };
 
 }  // namespace bezier_fem

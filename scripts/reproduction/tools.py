@@ -43,14 +43,18 @@ def say(text):
 say.start = time.monotonic()
 
 
+def attempt(*command, cwd=None, timeout=None):
+    """Runs a command; what became of it."""
+    return subprocess.run([str(word) for word in command], cwd=cwd, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE, text=True, check=False, timeout=timeout)
+
+
 def call(*command, cwd=None):
     """Runs a command and returns its stdout; its last line on stderr is the error."""
-    command = [str(word) for word in command]
-    done = subprocess.run(command, cwd=cwd, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          text=True, check=False)
+    done = attempt(*command, cwd=cwd)
     if done.returncode != 0:
         lines = (done.stderr.strip() or done.stdout.strip()).splitlines()
-        name, line = os.path.basename(command[0]), lines[-1] if lines else f"status {done.returncode}"
+        name, line = os.path.basename(str(command[0])), lines[-1] if lines else f"status {done.returncode}"
         raise Failed(line if line.startswith(name) else f"{name}: {line}")
     return done.stdout
 

@@ -4,6 +4,7 @@
 #include <array>
 #include <numeric>
 
+#include "element_loop.h"
 #include "kernels.h"
 #include "parallel.h"
 
@@ -13,7 +14,8 @@ namespace
 {
 kernels::Elements elementsOf(const Model& model)
 {
-  return {model.nodes_per_tet, 1, model.block_nodes.data(), model.block_nodes.data(), model.block_coefficients.data()};
+  return {model.nodes_per_tet, 1, model.block_nodes.data(), model.block_nodes.data(), model.block_coefficients.data(),
+          meanOf(model)};
 }
 
 int pairsOf(const Model& model)
@@ -262,7 +264,6 @@ FusedAssembler::FusedAssembler(const Model& model, const AssembledMatrix& patter
   constexpr int CHUNK = 128;
   Lists& l = *lists_;
   const std::size_t elements = static_cast<std::size_t>(model.num_blocks) * LANES;
-  l.products.assign((elements + 1) * kernels::PRODUCTS_STRIDE, 0.0);
   l.corner_order.assign(elements * CORNERS, 0.0);
 
   std::vector<int> entity(blocksOf(pattern), -1);  // at the place of a block that only this entity has
@@ -373,6 +374,10 @@ void FusedAssembler::assemble(const Model& model, const Partition& partition, co
                               double beta, AssembledMatrix& out)
 {
   const Lists& l = *lists_;
+  const bool mean = model.quadratic() && meanOf(model);
+  const std::size_t elements = static_cast<std::size_t>(model.num_blocks) * LANES;
+  lists_->products.resize((elements + 1) * kernels::PRODUCTS_STRIDE * (mean ? 2 : 1));
+  std::fill(lists_->products.end() - kernels::PRODUCTS_STRIDE * (mean ? 2 : 1), lists_->products.end(), 0.0);
   double* products = lists_->products.data();
   forEachThread(partition, [&](int t) {
     kernels::table().gradient_products(elementsOf(model), partition.blockBegin(t), partition.blockEnd(t),
@@ -381,7 +386,7 @@ void FusedAssembler::assemble(const Model& model, const Partition& partition, co
   const kernels::MeshEntities mesh{l.vertices.data(), l.edges.data(), l.faces.data(),
                                    l.tets.data(),     l.uses.data(),  l.chunks.data()};
   share(partition, l.chunks.size() - 1, [&](int begin, int end) {
-    kernels::table().fuse_blocks(mesh, model.nodes_per_tet, begin, end, products, out.blocks().data());
+    kernels::table().fuse_blocks(mesh, model.nodes_per_tet, mean, begin, end, products, out.blocks().data());
   });
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "bezier_fem/green_strain.h"
+#include "element_loop.h"
 #include "kernels.h"
 #include "parallel.h"
 
@@ -26,7 +27,8 @@ struct AssembledSystem::ByProducts
   void fill(const Model& model, const Partition& partition, int points, const AddProduct& add_product)
   {
     const int n = model.nodes_per_tet, rows = n * LANES;
-    const kernels::Elements elements{n, points, own_nodes.data(), own_nodes.data(), model.block_coefficients.data()};
+    const kernels::Elements elements{
+        n, points, own_nodes.data(), own_nodes.data(), model.block_coefficients.data(), meanOf(model)};
     forEachThread(partition, [&](int thread) {
       NodalField u(rows), y(rows);
       for (int block = partition.blockBegin(thread); block < partition.blockEnd(thread); ++block)

@@ -10,10 +10,16 @@
 
 namespace bezier_fem
 {
+inline const double* meanOf(const Model& model)
+{
+  return model.block_mean.empty() ? nullptr : model.block_mean.data();
+}
+
 /** @param points  rotations an element */
 inline kernels::Elements elementsOf(const Model& model, const Partition& partition, int points)
 {
-  return {model.nodes_per_tet, points, model.block_nodes.data(), partition.scatter(), model.block_coefficients.data()};
+  return {model.nodes_per_tet, points, model.block_nodes.data(), partition.scatter(), model.block_coefficients.data(),
+          meanOf(model)};
 }
 
 /** Clears partition.rows() rows of `stride` doubles, runs loop(elements, begin, end) on blocks, adds the ghosts. */

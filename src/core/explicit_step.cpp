@@ -71,7 +71,9 @@ public:
     }
     w_.led.setZero();
     kick(h / 2, state_.time + h);
-    report_.finite = state_.x.matrix().allFinite() && state_.v.matrix().allFinite();
+    // Squares overflow before positions do.
+    report_.finite =
+        state_.x.matrix().allFinite() && state_.v.matrix().allFinite() && std::isfinite(report_.residual);
   }
 
 private:

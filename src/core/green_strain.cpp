@@ -27,8 +27,8 @@ void greenForce(const Model& model, const Partition& partition, const NodalField
 
 double greenEnergy(const Model& model, const NodalField& x)
 {
-  const kernels::Elements elements{model.nodes_per_tet, 1, model.block_nodes.data(), nullptr,
-                                   model.block_coefficients.data()};
+  const kernels::Elements elements{
+      model.nodes_per_tet, 1, model.block_nodes.data(), nullptr, model.block_coefficients.data(), nullptr};
   return kernel(model).energy(elements, 0, model.num_blocks, model.block_gradients.data(), x.data());
 }
 

@@ -30,6 +30,7 @@ struct Elements
   const int* gather;           // [block][node][LANES]: where a node's value is read
   const int* scatter;          // the same shape: where it is added
   const double* coefficients;  // [block][3][LANES]: V lambda_L, V mu, V rho
+  const double* mean;          // [block][LANES]: V times the part of lambda_L that acts on the mean dilatation, or null
 };
 
 /**
@@ -188,14 +189,16 @@ struct Table
   void (*gather_blocks)(const Contributions& list, int begin, int end, const double* matrices, double* blocks);
 
   /**
-   * What fuse_blocks() reads of each element: [element][PRODUCTS_STRIDE].
+   * What fuse_blocks() reads of each element: [element][PRODUCTS_STRIDE]; of quadratic ones with Elements::mean twice
+   * as much, the second half without it.
    * @param corner_order  [block][4][LANES], local corners 0 to 3 in the order of their nodes
    */
   void (*gradient_products)(const Elements& elements, int begin, int end, const double* corner_order,
                             const double* rotated, double alpha, double beta, double* out);
-  /** Sets the blocks that belong to the entities of chunks [begin, end). */
-  void (*fuse_blocks)(const MeshEntities& mesh, int nodes_per_tet, int begin, int end, const double* products,
-                      double* blocks);
+  /** Sets the blocks that belong to the entities of chunks [begin, end). @param mean  of elements with Elements::mean
+   */
+  void (*fuse_blocks)(const MeshEntities& mesh, int nodes_per_tet, bool mean, int begin, int end,
+                      const double* products, double* blocks);
 
   /** y = A x over rows [begin, end). */
   void (*block_product)(const BlockRows& rows, int begin, int end, const double* blocks, const double* x, double* y);

@@ -170,6 +170,10 @@ inline Mat twice(const Mat& a)
 {
   return a + a;
 }
+inline Mat outer(const Vec3& a, const Vec3& b)
+{
+  return {{{a.x * b.x, a.x * b.y, a.x * b.z}, {a.y * b.x, a.y * b.y, a.y * b.z}, {a.z * b.x, a.z * b.y, a.z * b.z}}};
+}
 
 /** H_cd = lambda c d^T + mu d c^T + mu (c.d) 1 */
 inline Mat gradientProduct(const Vec3& c, const Vec3& d, Vec lambda, Vec mu)
@@ -185,7 +189,7 @@ inline Mat gradientProduct(const Vec3& c, const Vec3& d, Vec lambda, Vec mu)
   return h;
 }
 
-template <int NODES>
+template <int NODES, bool MEAN>
 void elementMatrices(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                      double* out)
 {
@@ -201,8 +205,30 @@ void elementMatrices(const Elements& elements, int begin, int end, const double*
     {
       const double* c = elements.coefficients + 3L * block * LANES + part;
       const RotatedGradients g = loadGradients(rotated + 9L * block * LANES + part);
-      const Vec lambda = scale * load(c), mu = scale * load(c + LANES), mass = alpha * load(c + 2L * LANES);
-      const auto set = [&](int I, int J, const Mat& m) { matrix.set(Matrix::pair(I, J), m.m, mass); };
+      Vec lambda = scale * load(c);
+      const Vec mu = scale * load(c + LANES), mass = alpha * load(c + 2L * LANES);
+      Vec3 mean[MEAN ? NODES : 1], weighted[MEAN ? NODES : 1];  // twice the basis functions' mean gradients
+      if constexpr (MEAN)
+      {
+        const Vec part_of_lambda = load(elements.mean + static_cast<long>(block) * LANES + part);
+        lambda -= scale * part_of_lambda;
+        for (int a = 0; a < 4; ++a)
+        {
+          mean[a] = g.r[a];
+          for (int b = a + 1; b < 4; ++b) mean[POINT[a][b]] = g.r[a] + g.r[b];
+        }
+        for (int I = 0; I < NODES; ++I) weighted[I] = 0.25 * beta * part_of_lambda * mean[I];
+      }
+      const auto set = [&](int I, int J, const Mat& m) {
+        if constexpr (MEAN)
+        {
+          matrix.set(Matrix::pair(I, J), (m + outer(weighted[I], mean[J])).m, mass);
+        }
+        else
+        {
+          matrix.set(Matrix::pair(I, J), m.m, mass);
+        }
+      };
       Mat h[4][4];
       for (int a = 0; a < 4; ++a)
       {
@@ -377,11 +403,12 @@ void gatherBlocks(const Contributions& list, int begin, int end, const double* m
 /** Where an element has H_cd. */
 constexpr int PRODUCT[4][4] = {{0, 12, 24, 36}, {12, 48, 60, 72}, {24, 60, 84, 96}, {36, 72, 96, 108}};
 
-template <int NODES>
+template <int NODES, bool MEAN>
 void gradientProducts(const Elements& elements, int begin, int end, const double* corner_order, const double* rotated,
                       double alpha, double beta, double* out)
 {
-  Vec values[PRODUCTS_STRIDE] = {};
+  constexpr int STRIDE = MEAN ? 2 * PRODUCTS_STRIDE : PRODUCTS_STRIDE;
+  Vec values[STRIDE] = {};
   const double scale = NODES == 4 ? beta : beta * 0.2, mass_scale = NODES == 4 ? alpha / 20 : alpha / 210;
   for (int block = begin; block < end; ++block)
   {
@@ -389,7 +416,14 @@ void gradientProducts(const Elements& elements, int begin, int end, const double
     {
       const double* c = elements.coefficients + 3L * block * LANES + part;
       const RotatedGradients g = loadGradients(rotated + 9L * block * LANES + part);
-      const Vec lambda = scale * load(c), mu = scale * load(c + LANES), mass = mass_scale * load(c + 2L * LANES);
+      Vec lambda = scale * load(c), mean = Vec{};
+      const Vec mu = scale * load(c + LANES), mass = mass_scale * load(c + 2L * LANES);
+      if constexpr (MEAN)
+      {
+        mean = beta * load(elements.mean + static_cast<long>(block) * LANES + part);
+        lambda -= 0.2 * mean;
+        mean = 0.25 * mean;
+      }
       RotatedGradients sorted;
       for (int a = 0; a < 4; ++a)
       {
@@ -404,14 +438,18 @@ void gradientProducts(const Elements& elements, int begin, int end, const double
       {
         for (int b = a; b < 4; ++b)
         {
-          const Mat h = gradientProduct(sorted.r[a], sorted.r[b], lambda, mu);
+          Mat h = gradientProduct(sorted.r[a], sorted.r[b], lambda, mu);
           Vec* to = values + PRODUCT[a][b];
+          if constexpr (MEAN)
+          {
+            for (int k = 0; k < 9; ++k) to[PRODUCTS_STRIDE + 4 * (k / 3) + k % 3] = h.m[k % 3][k / 3];
+            h = h + outer(mean * sorted.r[a], sorted.r[b]);
+          }
           for (int k = 0; k < 9; ++k) to[4 * (k / 3) + k % 3] = h.m[k % 3][k / 3];
           if (a == b) to[3] = mass;
         }
       }
-      storeByElement<PRODUCTS_STRIDE>(values, out + PRODUCTS_STRIDE * (static_cast<long>(block) * LANES + part),
-                                      PRODUCTS_STRIDE);
+      storeByElement<STRIDE>(values, out + STRIDE * (static_cast<long>(block) * LANES + part), STRIDE);
     }
   }
 }
@@ -420,10 +458,6 @@ inline Block loadProduct(const double* element, int a, int b)
 {
   const Node* p = reinterpret_cast<const Node*>(element + PRODUCT[a][b]);
   return {{p[0], p[1], p[2]}};
-}
-inline Block twice(const Block& b)
-{
-  return b + b;
 }
 /** The mass that comes with a product H_aa, or a sum of them. */
 inline double massOf(const Block& b)
@@ -441,7 +475,7 @@ inline void storePair(double* blocks, const int* slots, const Block& b)
   storePacked(blocks + 9L * slots[1], transpose(b));
 }
 
-template <int NODES>
+template <int NODES, bool MEAN>
 void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* products, double* blocks)
 {
   constexpr int EDGE[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
@@ -451,26 +485,38 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
   const auto willWrite = [&](const auto& slots) {
     for (const int slot : slots) prefetchForWriting(blocks + 9L * slot);
   };
-  const auto element = [&](int use) { return products + static_cast<long>(PRODUCTS_STRIDE) * (use >> 3); };
+  constexpr long STRIDE = MEAN ? 2 * PRODUCTS_STRIDE : PRODUCTS_STRIDE;
+  const auto element = [&](int use) { return products + STRIDE * (use >> 3); };
+  // Integrals of lambda_a^2 are twice those of lambda_a lambda_b: what is added again, `product` itself or, of a mean
+  // dilatation, which has no such integrals, the product without it.
+  const auto again = [&](const Block& product, const auto& without) -> Block {
+    if constexpr (MEAN) return without(PRODUCTS_STRIDE);
+    return product;
+  };
   for (int chunk = begin; chunk < end; ++chunk)
   {
     const auto &from = mesh.chunks[chunk], &to = mesh.chunks[chunk + 1];
     for (int k = from.vertex; k < to.vertex; ++k)
     {
       const auto& vertex = mesh.vertices[k];
-      Block aa = {};
-      for (int u = vertex.begin; u < mesh.vertices[k + 1].begin; ++u)
-      {
-        aa = aa + loadProduct(element(mesh.uses[u]), mesh.uses[u] & 7, mesh.uses[u] & 7);
-      }
+      const auto sum = [&](int offset) {
+        Block aa = {};
+        for (int u = vertex.begin; u < mesh.vertices[k + 1].begin; ++u)
+        {
+          aa = aa + loadProduct(element(mesh.uses[u]) + offset, mesh.uses[u] & 7, mesh.uses[u] & 7);
+        }
+        return aa;
+      };
+      const Block aa = sum(0);
       const double mass = massOf(aa);
-      storePacked(blocks + 9L * vertex.slot, NODES == 4 ? addMass(aa, 2 * mass) : addMass(twice(aa), 6 * mass));
+      storePacked(blocks + 9L * vertex.slot,
+                  NODES == 4 ? addMass(aa, 2 * mass) : addMass(aa + again(aa, sum), 6 * mass));
     }
     for (int k = from.edge; k < to.edge; ++k)
     {
       const auto& edge = mesh.edges[k];
       willWrite(mesh.edges[k + EDGES_AHEAD].slots);
-      Block aa = {}, ab = {}, bb = {};
+      Block aa = {}, ab = {}, bb = {}, ab_again = {}, aa_bb_again = {};
       for (int u = edge.begin; u < mesh.edges[k + 1].begin; ++u)
       {
         const double* e = element(mesh.uses[u]);
@@ -478,15 +524,22 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
         aa = aa + loadProduct(e, a, a);
         ab = ab + loadProduct(e, a, b);
         if (NODES == 10) bb = bb + loadProduct(e, b, b);
+        if constexpr (MEAN)
+        {
+          e += PRODUCTS_STRIDE;
+          ab_again = ab_again + loadProduct(e, a, b);
+          aa_bb_again = aa_bb_again + (loadProduct(e, a, a) + loadProduct(e, b, b));
+        }
       }
       const double mass = massOf(aa);
       storePair(blocks, edge.slots, addMass(ab, mass));
       if constexpr (NODES == 10)
       {
-        const Block two_ab = twice(ab);
+        const Block two_ab = ab + (MEAN ? ab_again : ab), aa_bb = aa + bb;
         storePair(blocks, edge.slots + 2, addMass(two_ab + aa, 3 * mass));
         storePair(blocks, edge.slots + 4, addMass(two_ab + bb, 3 * mass));
-        storePacked(blocks + 9L * edge.slots[6], addMass(twice(aa + bb) + (ab + transpose(ab)), 4 * mass));
+        const Block two_aa_bb = aa_bb + (MEAN ? aa_bb_again : aa_bb);
+        storePacked(blocks + 9L * edge.slots[6], addMass(two_aa_bb + (ab + transpose(ab)), 4 * mass));
       }
     }
     if constexpr (NODES == 10)
@@ -497,8 +550,11 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
         willWrite(mesh.faces[k + FACES_AHEAD].slots);
         const double *e = element(face.uses[0]), *f = element(face.uses[1]);
         const int *of_e = FACE[face.uses[0] & 7], *of_f = FACE[face.uses[1] & 7];
-        const auto sum = [&](int a, int b) {
-          return loadProduct(e, of_e[a], of_e[b]) + loadProduct(f, of_f[a], of_f[b]);
+        const auto sum = [&](int a, int b, int offset = 0) {
+          return loadProduct(e + offset, of_e[a], of_e[b]) + loadProduct(f + offset, of_f[a], of_f[b]);
+        };
+        const auto two = [&](const Block& product, int a, int b) {
+          return product + again(product, [&](int offset) { return sum(a, b, offset); });
         };
         const Block aa = sum(0, 0), ab = sum(0, 1), ac = sum(0, 2), bb = sum(1, 1), bc = sum(1, 2), cc = sum(2, 2);
         const double mass = massOf(aa);
@@ -506,15 +562,15 @@ void fuseBlocks(const MeshEntities& mesh, int begin, int end, const double* prod
         storePair(blocks, face.slots, addMass(ab + ac, mass));
         storePair(blocks, face.slots + 2, addMass(bc + ba, mass));
         storePair(blocks, face.slots + 4, addMass(bc + ac, mass));
-        storePair(blocks, face.slots + 6, addMass(twice(bc) + (ba + ac) + aa, 2 * mass));
-        storePair(blocks, face.slots + 8, addMass(twice(ac) + (ab + bc) + bb, 2 * mass));
-        storePair(blocks, face.slots + 10, addMass(twice(ab) + (cb + ac) + cc, 2 * mass));
+        storePair(blocks, face.slots + 6, addMass(two(bc, 1, 2) + (ba + ac) + aa, 2 * mass));
+        storePair(blocks, face.slots + 8, addMass(two(ac, 0, 2) + (ab + bc) + bb, 2 * mass));
+        storePair(blocks, face.slots + 10, addMass(two(ab, 0, 1) + (cb + ac) + cc, 2 * mass));
       }
       for (int k = from.tet; k < to.tet; ++k)
       {
         const auto& tet = mesh.tets[k];
         willWrite(mesh.tets[k + TETS_AHEAD].slots);
-        const double* e = products + static_cast<long>(PRODUCTS_STRIDE) * tet.element;
+        const double* e = products + STRIDE * tet.element;
         const double mass = massOf(loadProduct(e, 0, 0));
         const Block ab = loadProduct(e, 0, 1), ac = loadProduct(e, 0, 2), ad = loadProduct(e, 0, 3);
         const Block bc = loadProduct(e, 1, 2), bd = loadProduct(e, 1, 3), cd = loadProduct(e, 2, 3);
@@ -552,8 +608,10 @@ void blockProduct(const BlockRows& rows, int begin, int end, const double* block
 void elementMatricesAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                         double* out)
 {
-  (elements.nodes_per_tet == 4 ? elementMatrices<4> : elementMatrices<10>)(elements, begin, end, rotated, alpha, beta,
-                                                                           out);
+  const auto make = elements.nodes_per_tet == 4 ? elementMatrices<4, false>
+                    : elements.mean             ? elementMatrices<10, true>
+                                                : elementMatrices<10, false>;
+  make(elements, begin, end, rotated, alpha, beta, out);
 }
 
 void warpedMatricesAny(const Elements& elements, int begin, int end, const double* stiffness, const double* rotations,
@@ -577,14 +635,17 @@ void addBySlotsAny(int nodes_per_tet, int tets, const int* slots, const double* 
 void gradientProductsAny(const Elements& elements, int begin, int end, const double* corner_order,
                          const double* rotated, double alpha, double beta, double* out)
 {
-  (elements.nodes_per_tet == 4 ? gradientProducts<4> : gradientProducts<10>)(elements, begin, end, corner_order,
-                                                                             rotated, alpha, beta, out);
+  const auto make = elements.nodes_per_tet == 4 ? gradientProducts<4, false>
+                    : elements.mean             ? gradientProducts<10, true>
+                                                : gradientProducts<10, false>;
+  make(elements, begin, end, corner_order, rotated, alpha, beta, out);
 }
 
-void fuseBlocksAny(const MeshEntities& mesh, int nodes_per_tet, int begin, int end, const double* products,
+void fuseBlocksAny(const MeshEntities& mesh, int nodes_per_tet, bool mean, int begin, int end, const double* products,
                    double* blocks)
 {
-  (nodes_per_tet == 4 ? fuseBlocks<4> : fuseBlocks<10>)(mesh, begin, end, products, blocks);
+  const auto fuse = nodes_per_tet == 4 ? fuseBlocks<4, false> : mean ? fuseBlocks<10, true> : fuseBlocks<10, false>;
+  fuse(mesh, begin, end, products, blocks);
 }
 }  // namespace
 }  // namespace bezier_fem::kernels

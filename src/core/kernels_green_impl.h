@@ -52,7 +52,7 @@ inline void gradients(const RotatedGradients& g, const Vec3* u, Mat* f)
 }
 
 /** Diagonal of A^T B and the sums of its other elements with their mirror images, as shear strains are measured. */
-inline Sym metric(const Mat& a, const Mat& b)
+ALWAYS_INLINE Sym metric(const Mat& a, const Mat& b)
 {
   const auto dot = [&](int i, int j) { return a.m[0][i] * b.m[0][j] + a.m[1][i] * b.m[1][j] + a.m[2][i] * b.m[2][j]; };
   return {dot(0, 0), dot(0, 1) + dot(1, 0), dot(0, 2) + dot(2, 0), dot(1, 1), dot(1, 2) + dot(2, 1), dot(2, 2)};
@@ -95,7 +95,7 @@ inline void integrate(Sym* s)
 }
 
 /** q += F T */
-inline void addTimes(Mat& q, const Mat& f, const Sym& t)
+ALWAYS_INLINE void addTimes(Mat& q, const Mat& f, const Sym& t)
 {
   for (int i = 0; i < 3; ++i)
   {

@@ -6,6 +6,10 @@ namespace bezier_fem::kernels
 {
 namespace
 {
+// For the innermost functions, of which a compiler leaves some out of line once a file has enough of them: a tenth more
+// time for a product.
+#define ALWAYS_INLINE inline __attribute__((always_inline))
+
 using Vec = double __attribute__((vector_size(sizeof(double) * WIDTH)));
 using Node = double __attribute__((vector_size(sizeof(double) * 4)));
 static_assert(LANES % WIDTH == 0, "a block is a whole number of registers");
@@ -41,7 +45,7 @@ inline Vec3 operator*(Vec s, const Vec3& a)
 }
 
 /** The values of WIDTH nodes, one a lane: a transpose from x, y, z, 0 in memory to three registers. */
-inline Vec3 gather(const double* base, const int* nodes)
+ALWAYS_INLINE Vec3 gather(const double* base, const int* nodes)
 {
 #if WIDTH == 2
   const Vec a = load(base + 4L * nodes[0]), b = load(base + 4L * nodes[1]);
@@ -76,7 +80,7 @@ inline void addNode(double* base, int node, Node v)
 }
 
 /** The transpose of gather(): lane by lane, because two lanes may add to the same node. */
-inline void scatterAdd(double* base, const int* nodes, const Vec3& v)
+ALWAYS_INLINE void scatterAdd(double* base, const int* nodes, const Vec3& v)
 {
 #if WIDTH == 2
   for (int k = 0; k < 2; ++k)
@@ -127,7 +131,7 @@ struct RotatedGradients
   Vec3 r[4];
 };
 
-inline RotatedGradients loadGradients(const double* p)
+ALWAYS_INLINE RotatedGradients loadGradients(const double* p)
 {
   RotatedGradients g;
   for (int a = 0; a < 3; ++a)
@@ -141,10 +145,10 @@ inline RotatedGradients loadGradients(const double* p)
 
 /**
  * Stress of the strain sym(sum_d u_d r_d^T) - identity, u_d measured from u_0, which sum_d r_d = 0 allows and which
- * keeps a body far from the origin exact.
+ * keeps a body far from the origin exact. Adds the strain's trace to `dilatation`.
  */
-inline Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, const Vec3& u3, double identity,
-                  Vec lambda, Vec mu)
+ALWAYS_INLINE Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, const Vec3& u3, double identity,
+                         Vec lambda, Vec mu, Vec& dilatation)
 {
   const Vec3 &a = g.r[1], &b = g.r[2], &c = g.r[3];
   const Vec exx = u1.x * a.x + u2.x * b.x + u3.x * c.x - identity;
@@ -153,8 +157,16 @@ inline Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, con
   const Vec exy = u1.x * a.y + u2.x * b.y + u3.x * c.y + u1.y * a.x + u2.y * b.x + u3.y * c.x;
   const Vec exz = u1.x * a.z + u2.x * b.z + u3.x * c.z + u1.z * a.x + u2.z * b.x + u3.z * c.x;
   const Vec eyz = u1.y * a.z + u2.y * b.z + u3.y * c.z + u1.z * a.y + u2.z * b.y + u3.z * c.y;
-  const Vec pressure = lambda * (exx + eyy + ezz), two_mu = mu + mu;
+  const Vec trace = exx + eyy + ezz, pressure = lambda * trace, two_mu = mu + mu;
+  dilatation += trace;
   return {pressure + two_mu * exx, mu * exy, mu * exz, pressure + two_mu * eyy, mu * eyz, pressure + two_mu * ezz};
+}
+
+inline void addPressure(Sym& s, Vec pressure)
+{
+  s.xx += pressure;
+  s.yy += pressure;
+  s.zz += pressure;
 }
 
 /** Local control point (a,b); bernstein.h has the same table for the rest of the library. */
@@ -167,16 +179,19 @@ inline Vec3 columnSum(const Vec3* u, int d)
 }
 
 /**
- * f = K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V.
+ * f = K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V. The part `mean`
+ * of lambda acts on the element's mean dilatation, the rest at every point.
  * @param rotated  rotated gradients, POINTS times 9 rows of LANES
  */
-template <int NODES, int POINTS>
-inline void elasticForce(const double* rotated, const Vec3* u, double identity, Vec lambda, Vec mu, Vec3* f)
+template <int NODES, int POINTS, bool MEAN>
+inline void elasticForce(const double* rotated, const Vec3* u, double identity, Vec lambda, Vec mu, Vec mean, Vec3* f)
 {
+  Vec dilatation = Vec{};
+  if constexpr (MEAN) lambda -= mean;
   if constexpr (NODES == 4)
   {
     const RotatedGradients g = loadGradients(rotated);
-    const Sym s = stress(g, u[1] - u[0], u[2] - u[0], u[3] - u[0], identity, lambda, mu);
+    const Sym s = stress(g, u[1] - u[0], u[2] - u[0], u[3] - u[0], identity, lambda, mu, dilatation);
     for (int a = 0; a < 4; ++a) f[a] = s * g.r[a];
   }
   else if constexpr (POINTS == 1)
@@ -191,9 +206,12 @@ inline void elasticForce(const double* rotated, const Vec3* u, double identity, 
     {
       const Vec3& origin = u[POINT[c][0]];
       q[c] = stress(g, u[POINT[c][1]] - origin, u[POINT[c][2]] - origin, u[POINT[c][3]] - origin, 0.5 * identity,
-                    lambda, mu);
+                    lambda, mu, dilatation);
     }
-    const Sym sum = q[0] + q[1] + q[2] + q[3];
+    Sym sum = q[0] + q[1] + q[2] + q[3];
+    // A constant pressure p gives 2 Q_a = V p/2, and p is `mean` times a quarter of the sum of the dilatations, of
+    // which half is here.
+    if constexpr (MEAN) addPressure(sum, 0.25 * mean * dilatation);
     for (int c = 0; c < 4; ++c) q[c] = q[c] + sum;
     for (int a = 0; a < 4; ++a)
     {
@@ -207,16 +225,22 @@ inline void elasticForce(const double* rotated, const Vec3* u, double identity, 
     // 2 (lambda_a t_b + lambda_b t_a) goes to f_ab. Again half the strain; 2 * 2 / 4 = 1.
     const Vec far = Vec{} + FAR, above = Vec{} + (NEAR - FAR);
     Vec3 sum[4], t[4][4], total[4] = {};
+    Sym s[4];
     for (int d = 0; d < 4; ++d) sum[d] = far * columnSum(u, d);
     for (int q = 0; q < 4; ++q)
     {
       const RotatedGradients g = loadGradients(rotated + 9L * q * LANES);
       Vec3 z[4];
       for (int d = 0; d < 4; ++d) z[d] = sum[d] + above * u[POINT[q][d]];
-      const Sym s = stress(g, z[1] - z[0], z[2] - z[0], z[3] - z[0], 0.5 * identity, lambda, mu);
+      s[q] = stress(g, z[1] - z[0], z[2] - z[0], z[3] - z[0], 0.5 * identity, lambda, mu, dilatation);
+    }
+    for (int q = 0; q < 4; ++q)
+    {
+      const RotatedGradients g = loadGradients(rotated + 9L * q * LANES);
+      if constexpr (MEAN) addPressure(s[q], 0.25 * mean * dilatation);
       for (int d = 0; d < 4; ++d)
       {
-        t[q][d] = s * g.r[d];
+        t[q][d] = s[q] * g.r[d];
         total[d] = total[d] + t[q][d];
         t[q][d] = above * t[q][d];
       }
@@ -232,7 +256,7 @@ inline void elasticForce(const double* rotated, const Vec3* u, double identity, 
 
 /** f += m M u / (rho V), with the exact integrals of products of basis functions; mass is m rho V. */
 template <int NODES>
-inline void addMass(const Vec3* u, Vec mass, Vec3* f)
+ALWAYS_INLINE void addMass(const Vec3* u, Vec mass, Vec3* f)
 {
   if constexpr (NODES == 4)
   {
@@ -258,7 +282,7 @@ inline void addMass(const Vec3* u, Vec mass, Vec3* f)
 }
 
 /** Gathers an element's nodes, makes `out` from `in`, and scatters it. */
-template <int NODES, class Element>
+template <int NODES, bool MEAN, class Element>
 inline void forEachElement(const Elements& elements, int begin, int end, const double* rotated, const double* x,
                            double* y, const Element& element)
 {
@@ -268,33 +292,34 @@ inline void forEachElement(const Elements& elements, int begin, int end, const d
     {
       const long at = static_cast<long>(block) * NODES * LANES + part;
       const double* c = elements.coefficients + 3L * block * LANES + part;
+      Vec mean = Vec{};
+      if constexpr (MEAN) mean = load(elements.mean + static_cast<long>(block) * LANES + part);
       Vec3 in[NODES], out[NODES];
       for (int k = 0; k < NODES; ++k) in[k] = gather(x, elements.gather + at + static_cast<long>(k) * LANES);
       element(rotated + static_cast<long>(block) * elements.points * 9 * LANES + part, in, load(c), load(c + LANES),
-              load(c + 2L * LANES), out);
+              load(c + 2L * LANES), mean, out);
       for (int k = 0; k < NODES; ++k) scatterAdd(y, elements.scatter + at + static_cast<long>(k) * LANES, out[k]);
     }
   }
 }
 
-template <int NODES, int POINTS>
+template <int NODES, int POINTS, bool MEAN>
 void addProduct(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                 const double* u, double* y)
 {
-  forEachElement<NODES>(elements, begin, end, rotated, u, y,
-                        [&](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec mass, Vec3* out) {
-                          elasticForce<NODES, POINTS>(g, in, 0, beta * lambda, beta * mu, out);
-                          addMass<NODES>(in, alpha * mass, out);
-                        });
+  forEachElement<NODES, MEAN>(elements, begin, end, rotated, u, y,
+                              [&](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec mass, Vec mean, Vec3* out) {
+                                elasticForce<NODES, POINTS, MEAN>(g, in, 0, beta * lambda, beta * mu, beta * mean, out);
+                                addMass<NODES>(in, alpha * mass, out);
+                              });
 }
 
-template <int NODES, int POINTS>
+template <int NODES, int POINTS, bool MEAN>
 void addForce(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y)
 {
-  forEachElement<NODES>(elements, begin, end, rotated, x, y,
-                        [](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec3* out) {
-                          elasticForce<NODES, POINTS>(g, in, 1, lambda, mu, out);
-                        });
+  forEachElement<NODES, MEAN>(elements, begin, end, rotated, x, y,
+                              [](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean,
+                                 Vec3* out) { elasticForce<NODES, POINTS, MEAN>(g, in, 1, lambda, mu, mean, out); });
 }
 
 /** H_cd + H_dc over V, with H_cd = lambda c d^T + mu d c^T + mu (c.d) 1; H_cc + H_cc = 2 H_cc for c = d. */
@@ -306,7 +331,7 @@ inline Sym symmetricH(const Vec3& c, const Vec3& d, Vec lambda, Vec mu)
           (sum + sum) * c.y * d.y + dot, sum * (c.y * d.z + c.z * d.y), (sum + sum) * c.z * d.z + dot};
 }
 
-inline void scatterDiagonal(double* d, const int* nodes, Sym s, Vec mass)
+ALWAYS_INLINE void scatterDiagonal(double* d, const int* nodes, Sym s, Vec mass)
 {
   s.xx += mass;
   s.yy += mass;
@@ -328,7 +353,15 @@ inline Sym operator*(Vec s, const Sym& m)
   return {s * m.xx, s * m.xy, s * m.xz, s * m.yy, s * m.yz, s * m.zz};
 }
 
-inline void addDiagonalOfFour(double* d, const int* to, const double* rotated, Vec lambda, Vec mu, Vec mass)
+/** s v v^T */
+inline Sym square(Vec s, const Vec3& v)
+{
+  const Vec3 w = s * v;
+  return {w.x * v.x, w.x * v.y, w.x * v.z, w.y * v.y, w.y * v.z, w.z * v.z};
+}
+
+template <bool MEAN>
+inline void addDiagonalOfFour(double* d, const int* to, const double* rotated, Vec lambda, Vec mu, Vec mean, Vec mass)
 {
   RotatedGradients g[4];
   for (int q = 0; q < 4; ++q) g[q] = loadGradients(rotated + 9L * q * LANES);
@@ -339,19 +372,22 @@ inline void addDiagonalOfFour(double* d, const int* to, const double* rotated, V
     {
       // V/4 times the sum of H_hh, h = 2 (lambda_a r_b + lambda_b r_a), halved where a = b; symmetricH() is 2 H.
       Sym sum = {};
+      Vec3 total = {};
       for (int q = 0; q < 4; ++q)
       {
         const Vec to_b = Vec{} + (q == a ? NEAR : FAR), to_a = Vec{} + (q == b ? NEAR : FAR);
         const Vec3 h = a == b ? to_b * g[q].r[a] : to_b * g[q].r[b] + to_a * g[q].r[a];
         sum = sum + symmetricH(h, h, lambda, mu);
+        if constexpr (MEAN) total = total + h;
       }
+      if constexpr (MEAN) sum = sum + square(half * mean, total);
       scatterDiagonal(d, to + static_cast<long>(POINT[a][b]) * LANES, half * sum,
                       mass * (a == b ? 1.0 / 35 : 2.0 / 105));
     }
   }
 }
 
-template <int NODES, int POINTS>
+template <int NODES, int POINTS, bool MEAN>
 void addDiagonal(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                  double* d)
 {
@@ -361,11 +397,17 @@ void addDiagonal(const Elements& elements, int begin, int end, const double* rot
     {
       const int* to = elements.scatter + static_cast<long>(block) * NODES * LANES + part;
       const double* c = elements.coefficients + 3L * block * LANES + part;
-      const Vec lambda = beta * load(c), mu = beta * load(c + LANES), mass = alpha * load(c + 2L * LANES);
+      Vec lambda = beta * load(c), mean = Vec{};
+      const Vec mu = beta * load(c + LANES), mass = alpha * load(c + 2L * LANES);
+      if constexpr (MEAN)
+      {
+        mean = beta * load(elements.mean + static_cast<long>(block) * LANES + part);
+        lambda -= mean;
+      }
       const double* own = rotated + static_cast<long>(block) * POINTS * 9 * LANES + part;
       if constexpr (POINTS == 4)
       {
-        addDiagonalOfFour(d, to, own, lambda, mu, mass);
+        addDiagonalOfFour<MEAN>(d, to, own, lambda, mu, mean, mass);
         continue;
       }
       const RotatedGradients g = loadGradients(own);
@@ -379,13 +421,17 @@ void addDiagonal(const Elements& elements, int begin, int end, const double* rot
       else
       {
         // 4 V/20 (2 H_aa) at corners, 4 V/20 (2 H_aa + 2 H_bb + H_ab + H_ba) at edges; M: rho V/35 and rho V 4/210.
-        const Vec fifth = Vec{} + 0.2;
+        // Mean gradients: r_a/2 at corners, (r_a + r_b)/2 at edges.
+        const Vec fifth = Vec{} + 0.2, quarter_mean = 0.25 * mean;
         for (int a = 0; a < 4; ++a)
         {
-          scatterDiagonal(d, to + static_cast<long>(a) * LANES, fifth * h[a], mass * (1.0 / 35));
+          Sym corner = fifth * h[a];
+          if constexpr (MEAN) corner = corner + square(quarter_mean, g.r[a]);
+          scatterDiagonal(d, to + static_cast<long>(a) * LANES, corner, mass * (1.0 / 35));
           for (int b = a + 1; b < 4; ++b)
           {
-            const Sym edge = fifth * (h[a] + h[b] + symmetricH(g.r[a], g.r[b], lambda, mu));
+            Sym edge = fifth * (h[a] + h[b] + symmetricH(g.r[a], g.r[b], lambda, mu));
+            if constexpr (MEAN) edge = edge + square(quarter_mean, g.r[a] + g.r[b]);
             scatterDiagonal(d, to + static_cast<long>(POINT[a][b]) * LANES, edge, mass * (2.0 / 105));
           }
         }
@@ -662,26 +708,26 @@ void updateRotationsAny(const Elements& elements, Gradient gradient, int begin, 
 void addProductAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                    const double* u, double* y)
 {
-  const auto add = elements.nodes_per_tet == 4 ? addProduct<4, 1>
-                   : elements.points == 1      ? addProduct<10, 1>
-                                               : addProduct<10, 4>;
+  const auto one = elements.mean ? addProduct<10, 1, true> : addProduct<10, 1, false>;
+  const auto four = elements.mean ? addProduct<10, 4, true> : addProduct<10, 4, false>;
+  const auto add = elements.nodes_per_tet == 4 ? addProduct<4, 1, false> : elements.points == 1 ? one : four;
   add(elements, begin, end, rotated, alpha, beta, u, y);
 }
 
 void addForceAny(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y)
 {
-  const auto add = elements.nodes_per_tet == 4 ? addForce<4, 1>
-                   : elements.points == 1      ? addForce<10, 1>
-                                               : addForce<10, 4>;
+  const auto one = elements.mean ? addForce<10, 1, true> : addForce<10, 1, false>;
+  const auto four = elements.mean ? addForce<10, 4, true> : addForce<10, 4, false>;
+  const auto add = elements.nodes_per_tet == 4 ? addForce<4, 1, false> : elements.points == 1 ? one : four;
   add(elements, begin, end, rotated, x, y);
 }
 
 void addDiagonalAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                     double* d)
 {
-  const auto add = elements.nodes_per_tet == 4 ? addDiagonal<4, 1>
-                   : elements.points == 1      ? addDiagonal<10, 1>
-                                               : addDiagonal<10, 4>;
+  const auto one = elements.mean ? addDiagonal<10, 1, true> : addDiagonal<10, 1, false>;
+  const auto four = elements.mean ? addDiagonal<10, 4, true> : addDiagonal<10, 4, false>;
+  const auto add = elements.nodes_per_tet == 4 ? addDiagonal<4, 1, false> : elements.points == 1 ? one : four;
   add(elements, begin, end, rotated, alpha, beta, d);
 }
 }  // namespace
@@ -714,3 +760,5 @@ const Table TABLE = {
     {greenEnergy<10>, addGreenForce<10>, lineariseGreen<10>, addGreenProduct<10>, addGreenDiagonal<10>}};
 
 }  // namespace bezier_fem::kernels
+
+#undef ALWAYS_INLINE

@@ -10,6 +10,8 @@ namespace
 {
 /** Iterations with the diagonal blocks that cost about as much as multigrid's dozen. */
 constexpr int PATIENCE = 60;
+/** The same where the factor may not serve again. */
+constexpr int PATIENCE_ONCE = 200;
 /** Of the linear elements: beyond, their factor is no longer cheap to apply. */
 constexpr int MOST_VERTICES = 7000;
 }  // namespace
@@ -20,7 +22,7 @@ void solveLinear(const Model& model, const StepSettings& settings, const Support
 {
   using Preconditioner = Scene::Solver::Preconditioner;
   const Preconditioner wanted = settings.solver.preconditioner;
-  const bool possible = lasting && !w.multigrid_failed && wanted != Preconditioner::BLOCK_JACOBI &&
+  const bool possible = !w.multigrid_failed && wanted != Preconditioner::BLOCK_JACOBI &&
                         (wanted == Preconditioner::PMULTIGRID || model.num_corners <= MOST_VERTICES);
   int iterations = 0;
   SolveReport solved;
@@ -29,10 +31,10 @@ void solveLinear(const Model& model, const StepSettings& settings, const Support
     iterations += solved.iterations;
   };
 
-  bool multigrid = possible && (w.multigrid || wanted == Preconditioner::PMULTIGRID);
+  bool multigrid = possible && lasting && (w.multigrid || wanted == Preconditioner::PMULTIGRID);
   if (!multigrid)
   {
-    solve(nullptr, possible ? std::min(PATIENCE, max_iterations) : max_iterations);
+    solve(nullptr, possible ? std::min(lasting ? PATIENCE : PATIENCE_ONCE, max_iterations) : max_iterations);
     multigrid = possible && !solved.converged && iterations < max_iterations;
   }
   if (multigrid)

@@ -54,10 +54,22 @@ std::array<Strain, CORNERS> cornerStrains(const Model& model, const Rotations& r
   return strains;
 }
 
-Eigen::Matrix3d stressOf(const Material& material, const Strain& strain)
+/** The law of an element: part of lambda acts on the mean dilatation, which is that of the corners' mean strain. */
+struct StressLaw
 {
-  return lameLambda(material) * strain.trace() * Eigen::Matrix3d::Identity() + 2 * lameMu(material) * strain;
-}
+  StressLaw(const Model& model, int tet, const std::array<Strain, CORNERS>& corners)
+      : mu(lameMu(model.materials[tet])),
+        mean_lambda(meanLambda(model, tet)),
+        lambda(lameLambda(model.materials[tet]) - mean_lambda)
+  {
+    for (const Strain& strain : corners) mean_dilatation += strain.trace() / CORNERS;
+  }
+  Eigen::Matrix3d operator()(const Strain& strain) const
+  {
+    return (lambda * strain.trace() + mean_lambda * mean_dilatation) * Eigen::Matrix3d::Identity() + 2 * mu * strain;
+  }
+  double mu, mean_lambda, lambda, mean_dilatation = 0;
+};
 
 Stress toVector(const Eigen::Matrix3d& s)
 {
@@ -81,7 +93,7 @@ Stress stressAt(const Model& model, const Rotations& rotations, const NodalField
   const std::array<Strain, CORNERS> corners = cornerStrains(model, rotations, x, point.tet);
   Strain strain = Strain::Zero();
   for (int c = 0; c < CORNERS; ++c) strain += point.lambda[c] * corners[c];
-  return toVector(stressOf(model.materials[point.tet], strain));
+  return toVector(StressLaw(model, point.tet, corners)(strain));
 }
 
 Eigen::Matrix<double, 6, Eigen::Dynamic> nodalStress(const Model& model, const Rotations& rotations,
@@ -93,10 +105,11 @@ Eigen::Matrix<double, 6, Eigen::Dynamic> nodalStress(const Model& model, const R
   {
     const int* nodes = model.nodesOf(t);
     const std::array<Strain, CORNERS> strains = cornerStrains(model, rotations, x, t);
+    const StressLaw stressOf(model, t, strains);
     std::array<Stress, CORNERS> corner;
     for (int c = 0; c < CORNERS; ++c)
     {
-      corner[c] = toVector(stressOf(model.materials[t], strains[c]));
+      corner[c] = toVector(stressOf(strains[c]));
       sum.col(nodes[c]) += corner[c];
     }
     for (int e = 0; model.quadratic() && e < EDGES; ++e)
@@ -162,15 +175,19 @@ double elasticEnergy(const Model& model, const Rotations& rotations, const Nodal
   for (int t = 0; t < model.num_tets; ++t)
   {
     // Strain and stress are linear in between the corners: integral of lambda_a lambda_b = V (1 + delta_ab)/20.
+    const std::array<Strain, CORNERS> strains = cornerStrains(model, rotations, x, t);
+    const StressLaw stressOf(model, t, strains);
     Strain strain_sum = Strain::Zero();
+    Eigen::Matrix3d stress_sum = Eigen::Matrix3d::Zero();
     double squares = 0;
-    for (const Strain& strain : cornerStrains(model, rotations, x, t))
+    for (const Strain& strain : strains)
     {
+      const Eigen::Matrix3d stress = stressOf(strain);
       strain_sum += strain;
-      squares += strain.cwiseProduct(stressOf(model.materials[t], strain)).sum();
+      stress_sum += stress;
+      squares += strain.cwiseProduct(stress).sum();
     }
-    const double mixed = strain_sum.cwiseProduct(stressOf(model.materials[t], strain_sum)).sum();
-    energy += model.volumes[t] / 40 * (mixed + squares);
+    energy += model.volumes[t] / 40 * (strain_sum.cwiseProduct(stress_sum).sum() + squares);
   }
   return energy;
 }

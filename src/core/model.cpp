@@ -219,6 +219,7 @@ void setMaterials(Model& model, const std::vector<Material>& materials)
   for (std::size_t t = 0; t < materials.size(); ++t) model.materials[model.tet_of_mesh_tet[t]] = materials[t];
 
   model.block_coefficients.assign(static_cast<std::size_t>(model.num_blocks) * 3 * LANES, 0.0);
+  model.block_mean.clear();
   model.node_mass.assign(model.num_nodes, 0.0);
   for (int t = 0; t < model.num_tets; ++t)
   {
@@ -227,6 +228,11 @@ void setMaterials(Model& model, const std::vector<Material>& materials)
     c[0] = model.volumes[t] * lameLambda(m);
     c[LANES] = model.volumes[t] * lameMu(m);
     c[2 * LANES] = model.volumes[t] * m.density;
+    if (const double mean = meanLambda(model, t); mean > 0)
+    {
+      model.block_mean.resize(static_cast<std::size_t>(model.num_blocks) * LANES);
+      model.block_mean[t] = model.volumes[t] * mean;
+    }
     // Every basis function has the same integral: V/10, or V/4 for linear elements.
     for (int k = 0; k < model.nodes_per_tet; ++k)
     {
@@ -235,12 +241,22 @@ void setMaterials(Model& model, const std::vector<Material>& materials)
   }
 }
 
-Model buildModel(const TetMesh& mesh, Element element, const std::vector<Material>& materials)
+double meanLambda(const Model& model, int tet)
+{
+  const Material& m = model.materials[tet];
+  if (!model.quadratic() || model.dilatation == Dilatation::FULL) return 0;
+  if (model.dilatation == Dilatation::AUTO && m.poisson <= LOCKING_POISSON) return 0;
+  constexpr double POISSON = 0.3;
+  return m.poisson > POISSON ? lameLambda(m) - 2 * lameMu(m) * POISSON / (1 - 2 * POISSON) : 0;
+}
+
+Model buildModel(const TetMesh& mesh, Element element, const std::vector<Material>& materials, Dilatation dilatation)
 {
   assert(static_cast<Eigen::Index>(materials.size()) == mesh.tets.cols());
   Model model;
   model.num_tets = static_cast<int>(mesh.tets.cols());
   model.num_corners = static_cast<int>(mesh.corners.cols());
+  model.dilatation = dilatation;
   model.nodes_per_tet = element == Element::QUADRATIC ? QUADRATIC_NODES : CORNERS;
 
   const std::vector<int> order = mortonOrder(mesh);

@@ -122,7 +122,22 @@ bool PMultigrid::factor(const Model& model, const Rotations& rotations, const st
   factored_frames_ = frames_;
   fewest_ = -1;
   excess_ = 0;
-  return cholesky_->factor(matrix);
+  // Where rounding makes a pivot negative (nearly incompressible bodies), a diagonal larger by about as much helps.
+  double larger = 1;
+  for (const double wanted : {1.0, 1 + 1e-6, 1 + 1e-5, 1 + 1e-4})
+  {
+    for (int i = 0; i < linear_->num_nodes && wanted > 1; ++i)
+    {
+      for (int k = matrix.rowBegin()[i]; k < matrix.rowBegin()[i + 1]; ++k)
+      {
+        if (matrix.column()[k] != i) continue;
+        Eigen::Map<Eigen::Matrix3d>(matrix.blocks().data() + 9L * k).diagonal() *= wanted / larger;
+      }
+    }
+    larger = wanted;
+    if (cholesky_->factor(matrix)) return true;
+  }
+  return false;
 }
 
 void PMultigrid::estimateLargest(const Model& model)

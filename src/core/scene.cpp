@@ -503,9 +503,10 @@ void readSolver(const Value& value, Scene::Solver& solver)
 
 Scene readScene(const YamlNode& root, const Origin& origin)
 {
-  const Map map({root, "", origin}, {"model", "element", "elasticity", "rotation", "material", "damping", "gravity",
-                                     "time_step", "integrator", "solver", "initial", "fixed", "loads", "surface",
-                                     "environment", "contact", "probes", "frame_id", "node"});
+  const Map map({root, "", origin},
+                {"model",   "element",     "elasticity", "rotation", "dilatation", "material", "damping",
+                 "gravity", "time_step",   "integrator", "solver",   "initial",    "fixed",    "loads",
+                 "surface", "environment", "contact",    "probes",   "frame_id",   "node"});
   for (const char* key : {"environment", "contact"})
     if (const auto found = map.find(key))
       found->error("is " + describe(found->node) + ", which is not available yet; leave it out");
@@ -523,6 +524,10 @@ Scene readScene(const YamlNode& root, const Origin& origin)
     return readChoice<RotationRule>(value, {{"corners", RotationRule::FROM_CORNERS},
                                             {"centroid", RotationRule::FROM_CENTROID},
                                             {"four", RotationRule::FOUR_POINTS}});
+  });
+  map.get("dilatation", scene.dilatation, [](const Value& value) {
+    return readChoice<Dilatation>(value,
+                                  {{"auto", Dilatation::AUTO}, {"full", Dilatation::FULL}, {"mean", Dilatation::MEAN}});
   });
   readMaterial(map.require("material", "a map with the keys young, poisson, density"), scene);
   if (const auto found = map.find("damping"))
@@ -543,9 +548,10 @@ Scene readScene(const YamlNode& root, const Origin& origin)
   if (const auto found = map.find("solver")) readSolver(*found, scene.solver);
   if (const auto found = map.find("initial"))
   {
-    const Map initial(*found, {"positions", "velocity"});
+    const Map initial(*found, {"positions", "velocity", "spin"});
     initial.get("positions", scene.initial.positions, readFile);
     initial.get("velocity", scene.initial.velocity, readVector);
+    initial.get("spin", scene.initial.spin, readVector);
   }
   map.get("fixed", scene.fixed, readFixed);
   map.get("loads", scene.loads, readLoads);

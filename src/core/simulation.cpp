@@ -354,7 +354,9 @@ Simulation::Simulation(Scene scene, int threads, const Log& log)
     override_tets_.push_back(selector.tets(region.region, region.key));
   }
   model_.num_tets = static_cast<int>(mesh.tets.cols());
-  model_ = buildModel(mesh, scene_.element, materials(scene_.material));
+  // Green's strain has one volumetric term only.
+  const Dilatation dilatation = scene_.elasticity == Elasticity::GREEN ? Dilatation::FULL : scene_.dilatation;
+  model_ = buildModel(mesh, scene_.element, materials(scene_.material), dilatation);
   supports_ = buildSupports(scene_, model_, selector);
   initial_ = initialPositions(scene_, model_, mesh);
   supports_.start = initial_;
@@ -427,7 +429,23 @@ void Simulation::reset()
 {
   for (HeldRegion& region : supports_.regions) region.begin = region.end = Eigen::Isometry3d::Identity();
   state_ = startState(model_, settings_, supports_, initial_, scene_.initial.velocity, *workspace_);
+  addSpin();
   workspace_->balance.setZero();
+}
+
+void Simulation::addSpin()
+{
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  for (int i = 0; i < model_.num_nodes; ++i) centre += model_.node_mass[i] * state_.x[i];
+  centre /= model_.mass();
+  for (int i = 0; i < model_.num_nodes; ++i)
+  {
+    const Eigen::Vector3d spin = scene_.initial.spin.cross(Eigen::Vector3d(state_.x[i] - centre));
+    for (int axis = 0; axis < 3; ++axis)
+    {
+      if (!(supports_.held[i] >> axis & 1)) state_.v[i][axis] += spin[axis];
+    }
+  }
 }
 
 void Simulation::setMaterial(const Material& material)

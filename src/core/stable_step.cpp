@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 #include "parallel.h"
@@ -12,6 +13,7 @@ namespace
 {
 using Eigen::Matrix3d;
 using Eigen::MatrixXd;
+using Eigen::VectorXd;
 
 /** Inverse of the matrix of the integrals of B_I B_J over an element of volume one. */
 MatrixXd inverseMass(bool quadratic)
@@ -75,11 +77,14 @@ MatrixXd gradientGram(const Eigen::Matrix<double, 3, CORNERS>& g, const MatrixXd
   return root * gram * root / 20;
 }
 
-/** Largest eigenvalue of C^1/2 sym Y sym^T C^1/2, which has the eigenvalues of M^-1 K beside zeros. */
-double largestStiffness(const MatrixXd& gram, const Material& material)
+/**
+ * Largest eigenvalue of C^1/2 sym Y sym^T C^1/2, which has the eigenvalues of M^-1 K beside zeros.
+ * @param mean_lambda  part of lambda that acts on the mean dilatation
+ */
+double largestStiffness(const MatrixXd& gram, const Material& material, double mean_lambda)
 {
   constexpr int COMPONENTS[6][2] = {{0, 0}, {1, 1}, {2, 2}, {0, 1}, {1, 2}, {0, 2}};
-  const double two_mu = 2 * lameMu(material), bulk = 3 * lameLambda(material) + two_mu;
+  const double two_mu = 2 * lameMu(material), bulk = 3 * (lameLambda(material) - mean_lambda) + two_mu;
   // C^1/2 on strains whose shears have the factor sqrt(2): dilations by the root of the bulk's eigenvalue.
   Eigen::Matrix<double, 6, 6> root = std::sqrt(two_mu) * Eigen::Matrix<double, 6, 6>::Identity();
   root.topLeftCorner<3, 3>().array() += (std::sqrt(bulk) - std::sqrt(two_mu)) / 3;
@@ -105,6 +110,16 @@ double largestStiffness(const MatrixXd& gram, const Material& material)
       dual.block<6, 6>(6 * c, 6 * d) = root * block * root;
     }
   }
+  if (mean_lambda > 0)
+  {
+    // A uniform dilation is an eigenvector of C, with this part of lambda in its eigenvalue too; it is the same in all
+    // corners after W^1/2 as well.
+    VectorXd uniform = VectorXd::Zero(6 * corners);
+    for (Eigen::Index c = 0; c < corners; ++c) uniform.segment<3>(6 * c).setConstant(1 / std::sqrt(3.0 * corners));
+    const double stretch = std::sqrt((bulk + 3 * mean_lambda) / bulk) - 1;
+    dual += stretch * (uniform * (uniform.transpose() * dual)).eval();
+    dual += stretch * ((dual * uniform) * uniform.transpose()).eval();
+  }
   return Eigen::SelfAdjointEigenSolver<MatrixXd>(dual, Eigen::EigenvaluesOnly).eigenvalues().maxCoeff();
 }
 
@@ -126,7 +141,7 @@ SpectralBound::SpectralBound(const Model& model, const Partition& partition)
       g.rightCols<3>() = model.gradients.middleCols<3>(3L * t);
       g.col(0) = -g.rightCols<3>().rowwise().sum();
       const MatrixXd gram = gradientGram(g, inverse_mass) / model.materials[t].density;
-      stiffness_[t] = largestStiffness(gram, model.materials[t]);
+      stiffness_[t] = largestStiffness(gram, model.materials[t], meanLambda(model, t));
       gradient_[t] = Eigen::SelfAdjointEigenSolver<MatrixXd>(gram, Eigen::EigenvaluesOnly).eigenvalues().maxCoeff();
     }
   });
@@ -139,6 +154,7 @@ double SpectralBound::corotated() const
 
 double SpectralBound::green(const Model& model, const Partition& partition, const NodalField& x) const
 {
+  assert(model.block_mean.empty());
   // u^T K_T u is the integral of dE : C : dE, dE = sym(F^T grad u), and of tr(grad u S grad u^T). With F = A + D, A the
   // mean of F at the corners, the norm of the first is at most that of sym(A^T grad u), the strain of A^T u at rest,
   // and of sym(D^T grad u); and it is at most the largest stretch times that of the stiffest strain. F is linear and

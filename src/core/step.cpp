@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <numeric>
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/green_strain.h"
@@ -57,7 +59,9 @@ public:
     double h = settings_.time_step;
     while (report.finite && (report.substeps == 0 || end - state_.time > 0.5 * shortest))
     {
-      h = std::min(h, end - state_.time);
+      // A whole step is just that, whatever rounding says of its end; the last sub-step takes what is left.
+      const double left = end - state_.time;
+      if (h < settings_.time_step && left - h < 0.5 * shortest) h = left;
       if (w_.history_is_of_stages != report.second_order) w_.history = 0;
       w_.history_is_of_stages = report.second_order;
       w_.x_before.matrix() = state_.x.matrix();
@@ -88,7 +92,11 @@ public:
         h = std::max(h / std::max(pieces, 2.0), shortest);
         continue;
       }
-      if (corotated() && attempt.finite) std::swap(state_.rotations, w_.candidate);
+      if (corotated() && attempt.finite)
+      {
+        if (!report.second_order) shorten(h, attempt);
+        std::swap(state_.rotations, w_.candidate);
+      }
       report = attempt;
       ++report.substeps;
       state_.time += h;
@@ -114,6 +122,54 @@ private:
     solveStage({h, known, h == settings_.time_step}, state_.rotations, report);
     remember();
     return turn(state_.x, state_.rotations, w_.candidate, report);
+  }
+
+  /**
+   * Rotations that are held during a step hide how a stressed body resists being turned. Where that is more than what
+   * K' knows of, a long step goes too far, and the next one as far back, for ever. Such a step is shortened to about
+   * where the momentum out of balance, with the rotations of its end, no longer does work on it (Matthies and Strang
+   * 1979).
+   */
+  void shorten(double h, StepReport& report)
+  {
+    constexpr int MAX_TRIALS = 8;
+    constexpr double ENOUGH = 0.5;
+    Stopwatch watch;
+    keepMomentum();
+    const auto along = [&](const Rotations& rotations) {
+      elasticForce(model_, w_.partition, rotations, state_.x, w_.force);
+      return h * nodes(w_.force, model_).cwiseProduct(w_.change.matrix()).sum();
+    };
+    // With the old rotations the slope along the change goes from -start at length 0 to 0 at length 1.
+    const double start = w_.rhs.matrix().cwiseProduct(w_.change.matrix()).sum();
+    double low = 0, low_slope = -start, high = 0, high_slope = 0, length = 1;
+    for (int trial = 0; trial < MAX_TRIALS; ++trial)
+    {
+      const double slope = start * (length - 1) + along(w_.candidate) - along(state_.rotations);
+      watch.lap(report.ms.force);
+      if (slope <= ENOUGH * start && (length == 1 || slope >= -ENOUGH * start)) return;
+      (slope < 0 ? low : high) = length;
+      (slope < 0 ? low_slope : high_slope) = slope;
+      const double next = low + std::clamp(low_slope / (low_slope - high_slope), 0.1, 0.9) * (high - low);
+      state_.v.matrix() += (next - length) * w_.change.matrix();
+      state_.x.matrix() += h * (next - length) * w_.change.matrix();
+      length = next;
+      turn(state_.x, state_.rotations, w_.candidate, report);
+    }
+  }
+
+  /** Takes the translation along axes that nothing holds out of `change`: gravity's share of it is not to be shortened.
+   */
+  void keepMomentum()
+  {
+    const int held = std::accumulate(supports_.held.begin(), supports_.held.end(), 0, std::bit_or<>());
+    Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+    for (int i = 0; i < model_.num_nodes; ++i) mean += model_.node_mass[i] * w_.change[i];
+    mean /= std::accumulate(model_.node_mass.begin(), model_.node_mass.end(), 0.0);
+    for (int axis = 0; axis < 3; ++axis)
+    {
+      if (!(held >> axis & 1)) w_.change.matrix().row(axis).array() -= mean[axis];
+    }
   }
 
   /** Two stages of length GAMMA h, from x and v, and from where the first one's slope leads in (1 - GAMMA) h. */

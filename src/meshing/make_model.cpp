@@ -954,8 +954,9 @@ int main(int argc, char** argv)
       ->type_name("H");
   app.add_option(
          "--sizing", options.sizing,
-         "CSV x,y,z,size: smaller cell sizes at points, m in OUT.msh's coordinates; in between the size grows by\n"
-         "0.3 m each m, up to H")
+         text("CSV x,y,z,size: smaller cell sizes at points, m in OUT.msh's coordinates; away from them the size\n"
+              "grows by %g m a metre, up to H",
+              SizingField::GRADATION))
       ->type_name("FILE.csv");
   auto* scale = app.add_option("--scale", options.scale, "Factor from the file's coordinates to m (millimetres: 0.001)")
                     ->type_name("S");

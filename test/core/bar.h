@@ -82,9 +82,30 @@ inline TetMesh irregularBox(const Eigen::Vector3i& cells, const Eigen::Vector3d&
 
 constexpr Material RUBBER{2e5, 0.34, 500};
 
-inline Model boxModel(const TetMesh& mesh, Element element, const Material& material = RUBBER)
+inline Model boxModel(const TetMesh& mesh, Element element, const Material& material = RUBBER,
+                      Dilatation dilatation = Dilatation::FULL)
 {
-  return buildModel(mesh, element, std::vector<Material>(mesh.tets.cols(), material));
+  return buildModel(mesh, element, std::vector<Material>(mesh.tets.cols(), material), dilatation);
+}
+
+/** Holds what is at z = 0 at rest, where it starts. */
+inline Supports holdFoot(const Model& model, const NodalField& start)
+{
+  Supports supports;
+  supports.held.assign(model.num_nodes, 0);
+  supports.region.assign(model.num_nodes, {-1, -1, -1});
+  supports.start = start;
+  HeldRegion region;
+  region.axes = {true, true, true};
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    if (model.rest[i].z() > 1e-9) continue;
+    region.nodes.push_back(i);
+    supports.held[i] = 7;
+    supports.region[i] = {0, 0, 0};
+  }
+  supports.regions.push_back(region);
+  return supports;
 }
 
 /** A field of random numbers in [-1, 1]. */

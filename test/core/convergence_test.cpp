@@ -65,5 +65,54 @@ TEST_P(Convergence, HasTheOrderOfTheElement)
   EXPECT_LT(fine.stress, quadratic ? 0.01 : 0.15);
 }
 
+TEST(NearIncompressibility, KelvinsSolutionIsAnEquilibriumOfItsMaterial)
+{
+  const test::Kelvin kelvin{{2e5, 0.34, 500}};
+  const Eigen::Vector3d X(0.3, 0.7, 0.2);
+  constexpr double H = 1e-5;
+  Eigen::Vector3d divergence = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d gradient;
+  for (int j = 0; j < 3; ++j)
+  {
+    const Eigen::Vector3d step = H * Eigen::Vector3d::Unit(j);
+    divergence += (kelvin.stress(X + step) - kelvin.stress(X - step)).col(j) / (2 * H);
+    gradient.col(j) = (kelvin.displacement(X + step) - kelvin.displacement(X - step)) / (2 * H);
+  }
+  const Eigen::Matrix3d stress = kelvin.stress(X);
+  EXPECT_LT(divergence.norm(), 1e-7 * stress.norm());
+  const Eigen::Matrix3d expected = lameLambda(kelvin.material) * gradient.trace() * Eigen::Matrix3d::Identity() +
+                                   lameMu(kelvin.material) * (gradient + gradient.transpose());
+  EXPECT_LT((stress - expected).norm(), 1e-7 * stress.norm());
+}
+
+TEST(NearIncompressibility, MeanDilatationDoesNotLock)
+{
+  const auto errors = [&](Element element, Dilatation dilatation, double poisson, int n) {
+    return test::solveKelvin(
+        test::boxModel(test::irregularBox({n, n, n}, {1, 1, 1}), element, {2e5, poisson, 500}, dilatation));
+  };
+  // Where there is nothing to cure, there is no difference.
+  EXPECT_EQ(errors(Element::QUADRATIC, Dilatation::MEAN, 0.3, 4).displacement,
+            errors(Element::QUADRATIC, Dilatation::FULL, 0.3, 4).displacement);
+  const test::FieldErrors easy = errors(Element::QUADRATIC, Dilatation::FULL, LOCKING_POISSON, 4);
+  EXPECT_EQ(errors(Element::QUADRATIC, Dilatation::AUTO, LOCKING_POISSON, 4).displacement, easy.displacement);
+  EXPECT_EQ(errors(Element::QUADRATIC, Dilatation::AUTO, 0.4999, 4).displacement,
+            errors(Element::QUADRATIC, Dilatation::MEAN, 0.4999, 4).displacement);
+
+  const test::FieldErrors linear = errors(Element::LINEAR, Dilatation::MEAN, 0.4999, 8);
+  const test::FieldErrors full = errors(Element::QUADRATIC, Dilatation::FULL, 0.4999, 4);
+  const test::FieldErrors mean = errors(Element::QUADRATIC, Dilatation::MEAN, 0.4999, 4);
+  EXPECT_GT(linear.displacement, 0.3);
+  EXPECT_GT(full.displacement, 4 * mean.displacement);
+  EXPECT_GT(full.shown_stress, 10 * mean.shown_stress);
+  EXPECT_LT(mean.displacement, 1.2 * easy.displacement);
+  EXPECT_LT(mean.stress, easy.stress);
+  EXPECT_LT(mean.shown_stress, easy.shown_stress);
+  // It converges.
+  const test::FieldErrors coarse = errors(Element::QUADRATIC, Dilatation::MEAN, 0.4999, 2);
+  EXPECT_GT(std::log2(coarse.displacement / mean.displacement), 1.9);
+  EXPECT_GT(std::log2(coarse.stress / mean.stress), 0.8);
+}
+
 }  // namespace
 }  // namespace bezier_fem

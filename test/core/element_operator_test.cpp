@@ -6,6 +6,7 @@
 #include <Eigen/Eigenvalues>
 
 #include "bezier_fem/measures.h"
+#include "bezier_fem/stable_step.h"
 #include "core/bar.h"
 #include "kernels.h"
 
@@ -22,6 +23,7 @@ struct Variant
   const char* name;
   Element element;
   RotationRule rule;
+  Dilatation dilatation = Dilatation::FULL;
 };
 
 class EveryElement : public testing::TestWithParam<Variant>
@@ -29,24 +31,32 @@ class EveryElement : public testing::TestWithParam<Variant>
 protected:
   Model box(const Eigen::Vector3i& cells, const Vector3d& size) const;
   Rotations rest(const Model& model) const { return restRotations(model, GetParam().rule); }
+  /** Mean dilatation with something to do. */
+  Material stiff() const { return {3e6, GetParam().dilatation == Dilatation::MEAN ? 0.485 : 0.45, 1100}; }
 };
-INSTANTIATE_TEST_SUITE_P(Elements, EveryElement,
-                         testing::Values(Variant{"linear", Element::LINEAR, RotationRule::FROM_CORNERS},
-                                         Variant{"quadratic", Element::QUADRATIC, RotationRule::FROM_CORNERS},
-                                         Variant{"quadratic_centroid", Element::QUADRATIC, RotationRule::FROM_CENTROID},
-                                         Variant{"quadratic_four", Element::QUADRATIC, RotationRule::FOUR_POINTS}),
-                         [](const auto& p) { return std::string(p.param.name); });
-
-constexpr Material STIFF{3e6, 0.45, 1100};
+INSTANTIATE_TEST_SUITE_P(
+    Elements, EveryElement,
+    testing::Values(Variant{"linear", Element::LINEAR, RotationRule::FROM_CORNERS},
+                    Variant{"quadratic", Element::QUADRATIC, RotationRule::FROM_CORNERS},
+                    Variant{"quadratic_centroid", Element::QUADRATIC, RotationRule::FROM_CENTROID},
+                    Variant{"quadratic_four", Element::QUADRATIC, RotationRule::FOUR_POINTS},
+                    Variant{"linear_mean", Element::LINEAR, RotationRule::FROM_CORNERS, Dilatation::MEAN},
+                    Variant{"quadratic_mean", Element::QUADRATIC, RotationRule::FROM_CORNERS, Dilatation::MEAN},
+                    Variant{"quadratic_four_mean", Element::QUADRATIC, RotationRule::FOUR_POINTS, Dilatation::MEAN}),
+    [](const auto& p) { return std::string(p.param.name); });
 
 Model EveryElement::box(const Eigen::Vector3i& cells, const Vector3d& size) const
 {
-  return test::boxModel(test::irregularBox(cells, size), GetParam().element, STIFF);
+  return test::boxModel(test::irregularBox(cells, size), GetParam().element, stiff(), GetParam().dilatation);
 }
 
 /** K_IJ of one element by quadrature of the definition, integral of C(grad B_I) : grad B_J, gradients rotated. */
-MatrixXd denseStiffness(int nodes, const Rotations& rotations, int tet, double volume, const Material& m)
+MatrixXd denseStiffness(const Model& model, const Rotations& rotations, int tet)
 {
+  const int nodes = model.nodes_per_tet;
+  const double volume = model.volumes[tet], mu = lameMu(model.materials[tet]), mean_lambda = meanLambda(model, tet);
+  const double lambda_at_points = lameLambda(model.materials[tet]) - mean_lambda;
+  Eigen::Matrix3Xd mean = Eigen::Matrix3Xd::Zero(3, nodes);
   // Four points, exact for the products of two linear gradients.
   const double a = (5 + 3 * std::sqrt(5.0)) / 20, b = (5 - std::sqrt(5.0)) / 20;
   MatrixXd K = MatrixXd::Zero(3 * nodes, 3 * nodes);
@@ -62,18 +72,20 @@ MatrixXd denseStiffness(int nodes, const Rotations& rotations, int tet, double v
       const auto [c, d] = EDGE_CORNERS[e];
       grad.col(CORNERS + e) = 2 * (lambda[c] * r.col(d) + lambda[d] * r.col(c));
     }
+    mean += grad / 4;
     for (int I = 0; I < nodes; ++I)
     {
       for (int J = 0; J < nodes; ++J)
       {
         const Vector3d gi = grad.col(I), gj = grad.col(J);
         K.block<3, 3>(3 * I, 3 * J) += volume / 4 *
-                                       (lameLambda(m) * gi * gj.transpose() + lameMu(m) * gj * gi.transpose() +
-                                        lameMu(m) * gi.dot(gj) * Matrix3d::Identity());
+                                       (lambda_at_points * gi * gj.transpose() + mu * gj * gi.transpose() +
+                                        mu * gi.dot(gj) * Matrix3d::Identity());
       }
     }
   }
-  return K;
+  const Eigen::Map<const Eigen::VectorXd> all(mean.data(), 3L * nodes);
+  return K + volume * mean_lambda * all * all.transpose();
 }
 
 /** rho V times the integral of B_I B_J / V = G(I,J)/35 (METHOD: products of binomials). */
@@ -120,7 +132,7 @@ MatrixXd denseSystem(const Model& model, const Rotations& rotations, double alph
   {
     const Material& m = model.materials[t];
     const MatrixXd element = alpha * denseMass(model.nodes_per_tet, m.density * model.volumes[t]) +
-                             beta * denseStiffness(model.nodes_per_tet, rotations, t, model.volumes[t], m);
+                             beta * denseStiffness(model, rotations, t);
     for (int I = 0; I < model.nodes_per_tet; ++I)
     {
       for (int J = 0; J < model.nodes_per_tet; ++J)
@@ -179,6 +191,7 @@ TEST_P(EveryElement, OperatorEqualsItsDenseReference)
   const Bent bent(model, partition, GetParam().rule);
   const MatrixXd reference = denseSystem(model, bent.rotations, 1.5, 0.02);
   const MatrixXd A = byColumns(model, partition, bent.rotations, 1.5, 0.02);
+  EXPECT_EQ(model.block_mean.empty(), !model.quadratic() || GetParam().dilatation == Dilatation::FULL);
   EXPECT_LT((A - reference).norm(), 1e-13 * reference.norm());
   EXPECT_LT((A - A.transpose()).norm(), 1e-14 * reference.norm());
 
@@ -219,8 +232,12 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
     const kernels::Table* table = kernels::tableByName(name);
     if (!table) continue;
     ++sets;
-    const kernels::Elements elements{model.nodes_per_tet, bent.rotations.points, model.block_nodes.data(),
-                                     one.scatter(), model.block_coefficients.data()};
+    const kernels::Elements elements{model.nodes_per_tet,
+                                     bent.rotations.points,
+                                     model.block_nodes.data(),
+                                     one.scatter(),
+                                     model.block_coefficients.data(),
+                                     model.block_mean.empty() ? nullptr : model.block_mean.data()};
     NodalField product(model.num_nodes), force(model.num_nodes), force_reference(model.num_nodes);
     table->add_product(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2, 0.3, u.data(),
                        product.data());
@@ -270,13 +287,19 @@ TEST_P(EveryElement, OneElementHasSixRigidModes)
   mesh.tets.resize(4, 1);
   mesh.tets << 0, 1, 2, 3;
   mesh.corner_ids = {1, 2, 3, 4};
-  const Model model = test::boxModel(mesh, GetParam().element, STIFF);
+  const Model model = test::boxModel(mesh, GetParam().element, stiff(), GetParam().dilatation);
   const Partition partition(model, 1);
   const Bent bent(model, partition, GetParam().rule);
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(byColumns(model, partition, bent.rotations, 0, 1));
   const auto& values = eigen.eigenvalues();
   EXPECT_LT(values.head<6>().cwiseAbs().maxCoeff(), 1e-12 * values.tail<1>()[0]);
   EXPECT_GT(values[6], 1e-4 * values.tail<1>()[0]);
+
+  // Its largest eigenvalue against its mass is what explicit steps are bounded by.
+  const Eigen::GeneralizedSelfAdjointEigenSolver<MatrixXd> against_mass(byColumns(model, partition, rest(model), 0, 1),
+                                                                        byColumns(model, partition, rest(model), 1, 0));
+  const double largest = against_mass.eigenvalues().maxCoeff();
+  EXPECT_NEAR(SpectralBound(model, partition).corotated(), largest, 1e-9 * largest);
 }
 
 TEST_P(EveryElement, RigidMotionGivesNoForce)
@@ -314,7 +337,7 @@ TEST_P(EveryElement, PatchTest)
   x.matrix().topRows<3>() += gradient * model.rest.matrix().topRows<3>();
   const Rotations rotations = rest(model);
   const Matrix3d strain = (gradient + gradient.transpose()) / 2;
-  const Matrix3d s = lameLambda(STIFF) * strain.trace() * Matrix3d::Identity() + 2 * lameMu(STIFF) * strain;
+  const Matrix3d s = lameLambda(stiff()) * strain.trace() * Matrix3d::Identity() + 2 * lameMu(stiff()) * strain;
   const Stress expected = (Stress() << s(0, 0), s(1, 1), s(2, 2), s(0, 1), s(1, 2), s(0, 2)).finished();
   const auto stress = nodalStress(model, rotations, x);
   EXPECT_LT((stress.colwise() - expected).cwiseAbs().maxCoeff(), 1e-11 * s.norm());
@@ -396,7 +419,7 @@ TEST_P(EveryElement, MassGivesKineticEnergyMomentumAndWeight)
   const Model model = box({2, 2, 2}, {1, 2, 1});
   const Partition partition(model, 1);
   EXPECT_NEAR(model.volume(), 2, 1e-12);
-  EXPECT_NEAR(model.mass(), 2 * STIFF.density, 1e-9);
+  EXPECT_NEAR(model.mass(), 2 * stiff().density, 1e-9);
   const NodalField v = test::randomField(model.num_nodes, 13);
   NodalField product(partition.rows());
   systemProduct(model, partition, restRotations(model), 1, 0, v, product);

@@ -321,8 +321,8 @@ TEST_P(GreenStrain, EveryInstructionSetAndThreadCountAgrees)
   };
   const auto compute = [&](const kernels::Table& table, bool projected) {
     const kernels::GreenTable& green = larger.quadratic() ? table.green_quadratic : table.green_linear;
-    const kernels::Elements elements{larger.nodes_per_tet, 1, larger.block_nodes.data(), one.scatter(),
-                                     larger.block_coefficients.data()};
+    const kernels::Elements elements{
+        larger.nodes_per_tet, 1, larger.block_nodes.data(), one.scatter(), larger.block_coefficients.data(), nullptr};
     const double* rest = larger.block_gradients.data();
     Result r{0, NodalField(larger.num_nodes), NodalField(larger.num_nodes), {}};
     r.diagonal.resize(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * larger.num_nodes);

@@ -22,18 +22,21 @@ struct Case
   const char* name;
   Element element;
   RotationRule rule;
+  Dilatation dilatation = Dilatation::FULL;
 };
 
 class Multigrid : public testing::TestWithParam<Case>
 {
 protected:
-  Model model = test::boxModel(test::irregularBox({4, 4, 8}, {0.4, 0.4, 1.0}), GetParam().element, STIFF);
+  Model model = test::boxModel(test::irregularBox({4, 4, 8}, {0.4, 0.4, 1.0}), GetParam().element, material(),
+                               GetParam().dilatation);
   Partition partition{model, 1};
   Rotations rotations = bent();
   std::vector<std::uint8_t> held = foot();
   ConjugateGradient solver{model, partition};
   PMultigrid multigrid{model, partition};
 
+  static Material material() { return {2e6, GetParam().dilatation == Dilatation::MEAN ? 0.49 : 0.45, 500}; }
   /** Turned by up to 1.5 rad along the bar. */
   Rotations bent() const
   {
@@ -74,7 +77,9 @@ protected:
 INSTANTIATE_TEST_SUITE_P(Elements, Multigrid,
                          testing::Values(Case{"linear", Element::LINEAR, RotationRule::FROM_CORNERS},
                                          Case{"quadratic", Element::QUADRATIC, RotationRule::FROM_CORNERS},
-                                         Case{"quadratic_four", Element::QUADRATIC, RotationRule::FOUR_POINTS}),
+                                         Case{"quadratic_four", Element::QUADRATIC, RotationRule::FOUR_POINTS},
+                                         Case{"quadratic_mean", Element::QUADRATIC, RotationRule::FROM_CORNERS,
+                                              Dilatation::MEAN}),
                          [](const auto& p) { return std::string(p.param.name); });
 
 TEST_P(Multigrid, IsSymmetricAndPositive)
@@ -130,7 +135,7 @@ TEST_P(Multigrid, FollowsANewMaterial)
     return solver.solve(system, partition, b, u, 1e-8, 10000, &multigrid).iterations;
   };
   const int before = iterations();
-  std::vector<Material> materials(model.num_tets, STIFF);
+  std::vector<Material> materials(model.num_tets, material());
   for (std::size_t k = 0; k < materials.size() / 2; ++k) materials[k].young = 2e4;
   setMaterials(model, materials);
   const int stale = iterations();

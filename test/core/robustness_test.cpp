@@ -17,25 +17,6 @@ using Eigen::Vector3d;
 
 const Vector3d SIZE(0.4, 0.4, 1.0);
 
-Supports holdFoot(const Model& model, const NodalField& start)
-{
-  Supports supports;
-  supports.held.assign(model.num_nodes, 0);
-  supports.region.assign(model.num_nodes, {-1, -1, -1});
-  supports.start = start;
-  HeldRegion region;
-  region.axes = {true, true, true};
-  for (int i = 0; i < model.num_nodes; ++i)
-  {
-    if (model.rest[i].z() > 1e-9) continue;
-    region.nodes.push_back(i);
-    supports.held[i] = 7;
-    supports.region[i] = {0, 0, 0};
-  }
-  supports.regions.push_back(region);
-  return supports;
-}
-
 /** The bar with its free corners moved by a map of the rest shape and a perturbation; edges halfway. */
 NodalField moved(const Model& model, const std::function<Vector3d(const Vector3d&)>& map, double perturbation)
 {
@@ -65,7 +46,7 @@ Outcome recover(const Model& model, const NodalField& start)
 {
   const StepSettings settings{0.02,   Elasticity::COROTATED, RotationRule::FROM_CORNERS,
                               {1, 0}, Vector3d::Zero(),      {1e-4, 500}};
-  const Supports supports = holdFoot(model, model.rest);
+  const Supports supports = test::holdFoot(model, model.rest);
   const NodalField no_force(model.num_nodes);
   Workspace workspace(model, settings, 1);
   State state = startState(model, settings, supports, start, Vector3d::Zero(), workspace);
@@ -157,7 +138,7 @@ TEST_P(Recovery, ExtremeStepsAndMaterialsGiveNumbersAndTheTruth)
           const Model hard = buildModel(mesh, GetParam(), materials);
           const StepSettings settings{dt,     Elasticity::COROTATED, RotationRule::FROM_CORNERS,
                                       {0, 0}, {0, -9.81, 0},         {1e-4, 500}};
-          const Supports supports = holdFoot(hard, hard.rest);
+          const Supports supports = test::holdFoot(hard, hard.rest);
           const NodalField no_force(hard.num_nodes);
           Workspace workspace(hard, settings, 1);
           State state = startState(hard, settings, supports, hard.rest, Vector3d::Zero(), workspace);

@@ -103,12 +103,14 @@ TEST_F(SceneTest, DefaultsAreThoseOfTheFormat)
   EXPECT_FALSE(scene.model.cell_size);
   EXPECT_EQ(scene.model.refine, 0);
   EXPECT_FALSE(scene.model.sizing);
+  EXPECT_EQ(scene.model.refine, 0);
   EXPECT_EQ(scene.model.scale, 1);
   EXPECT_FALSE(scene.model.longest_side);
   EXPECT_EQ(scene.model.xyz, Eigen::Vector3d(0, 0, 0));
   EXPECT_EQ(scene.model.rpy, Eigen::Vector3d(0, 0, 0));
   EXPECT_EQ(scene.element, Element::QUADRATIC);
   EXPECT_EQ(scene.elasticity, Elasticity::COROTATED);
+  EXPECT_EQ(scene.dilatation, Dilatation::AUTO);
   EXPECT_EQ(scene.material.young, 2);
   EXPECT_EQ(scene.material.poisson, 0.3);
   EXPECT_EQ(scene.material.density, 4);
@@ -122,6 +124,7 @@ TEST_F(SceneTest, DefaultsAreThoseOfTheFormat)
   EXPECT_EQ(scene.solver.max_iterations, 500);
   EXPECT_FALSE(scene.initial.positions);
   EXPECT_EQ(scene.initial.velocity, Eigen::Vector3d(0, 0, 0));
+  EXPECT_EQ(scene.initial.spin, Eigen::Vector3d(0, 0, 0));
   EXPECT_TRUE(scene.fixed.empty());
   EXPECT_TRUE(scene.loads.empty());
   EXPECT_FALSE(scene.surface_file);
@@ -143,6 +146,7 @@ model:
 element: linear
 elasticity: linear
 rotation: corners
+dilatation: mean
 material:
   young: 2.0e+5
   poisson: 0.45
@@ -155,7 +159,7 @@ gravity: [1, -2, 3.5]
 time_step: 0.01
 integrator: static
 solver: {preconditioner: block_jacobi, operator: matrix_free, tolerance: 1.0e-6, max_iterations: 7}
-initial: {positions: start.csv, velocity: [4, 5, 6]}
+initial: {positions: start.csv, velocity: [4, 5, 6], spin: [7, 8, 9]}
 fixed:
   - {name: feet, box: {min: [-1, -1, -1], max: [1, 1, 0.05]}}
   - {sphere: {center: [1, 2, 3], radius: 4}, axes: [z, x]}
@@ -174,11 +178,13 @@ node: {mode: lockstep, publish_rate: 12.5, wrench: {radius: 1, max_distance: 2, 
   EXPECT_EQ(scene.model.cell_size, 0.08);
   EXPECT_EQ(scene.model.refine, 2);
   EXPECT_EQ(scene.model.sizing, (folder_ / "sizes.csv").string());
+  EXPECT_EQ(scene.model.refine, 2);
   EXPECT_EQ(scene.model.longest_side, 1.5);
   EXPECT_EQ(scene.model.xyz, Eigen::Vector3d(1, 2, 3));
   EXPECT_EQ(scene.model.rpy, Eigen::Vector3d(0.1, 0.2, 0.3));
   EXPECT_EQ(scene.element, Element::LINEAR);
   EXPECT_EQ(scene.elasticity, Elasticity::LINEAR);
+  EXPECT_EQ(scene.dilatation, Dilatation::MEAN);
   EXPECT_EQ(scene.material.young, 2e5);
   EXPECT_EQ(scene.material.poisson, 0.45);
   EXPECT_EQ(scene.material.density, 500);
@@ -204,6 +210,7 @@ node: {mode: lockstep, publish_rate: 12.5, wrench: {radius: 1, max_distance: 2, 
   EXPECT_EQ(scene.solver.max_iterations, 7);
   EXPECT_EQ(scene.initial.positions, (folder_ / "start.csv").string());
   EXPECT_EQ(scene.initial.velocity, Eigen::Vector3d(4, 5, 6));
+  EXPECT_EQ(scene.initial.spin, Eigen::Vector3d(7, 8, 9));
 
   using Axes = std::array<bool, 3>;
   ASSERT_EQ(scene.fixed.size(), 4u);
@@ -264,6 +271,7 @@ initial: {}
 node: {wrench: {}}
 elasticity: linear
 rotation: corners
+dilatation: mean
 )");
   EXPECT_TRUE(scene.fixed.empty());
   EXPECT_EQ(load({"model.cell_size=0.1"}).model.cell_size, 0.1);  // of no use to a file of tetrahedra
@@ -328,7 +336,8 @@ TEST_F(SceneTest, WrongTypesNameKeyValueAndWhatIsAllowed)
     expectRefused(std::string(key) + "=null", {std::string(key) + " is null, must be a list"});
     expectRefused(std::string(key) + "=[3]", {std::string(key) + "[0] is 3, must be a map"});
   }
-  for (const char* key : {"gravity", "initial.velocity", "model.pose.xyz", "model.pose.rpy", "probes.nose"})
+  for (const char* key :
+       {"gravity", "initial.velocity", "initial.spin", "model.pose.xyz", "model.pose.rpy", "probes.nose"})
   {
     expectRefused(std::string(key) + "=1", {std::string(key) + " is 1, must be a list of three numbers"});
     expectRefused(std::string(key) + "=[1, 2]", {std::string(key) + " is [1, 2], must be a list of three numbers"});
@@ -384,6 +393,7 @@ TEST_F(SceneTest, Choices)
   expectRefused("integrator=euler",
                 {"integrator is euler, must be one of implicit_euler, sdirk2, auto, explicit, static"});
   expectRefused("rotation=polar", {"rotation is polar, must be one of corners, centroid, four"});
+  expectRefused("dilatation=none", {"dilatation is none, must be one of auto, full, mean"});
   expectRefused("solver.preconditioner=ilu",
                 {"solver.preconditioner is ilu, must be one of auto, block_jacobi, pmultigrid"});
   expectRefused("solver.operator=dense", {"solver.operator is dense, must be one of matrix_free, assembled"});

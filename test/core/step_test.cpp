@@ -148,6 +148,46 @@ TEST_P(Stepping, InnerForcesKeepLinearMomentum)
   EXPECT_GT(largest, 1.001 * start.squaredNorm() / 2 / model.mass());  // it did move inside
 }
 
+TEST_P(Stepping, EveryStepStartsFromTheLastTwo)
+{
+  // Also those whose ends are, for rounding, less than a time step apart: 0.06 - 0.04 < 0.02. All falling steps change
+  // v alike, so that the third has nothing left to solve.
+  const Supports supports = holdNothing(model);
+  StepSettings s = settings();
+  s.solver.tolerance = 1e-6;
+  State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
+  for (int k = 0; k < 40; ++k)
+  {
+    const int iterations = implicitEulerStep(model, s, supports, {}, no_force, state, workspace).iterations;
+    EXPECT_EQ(iterations == 0, k >= 2) << k;
+  }
+}
+
+TEST_P(Stepping, AShortenedStepFallsAsFar)
+{
+  // Pulled apart along z, so soft and the step so long that steps across would go too far.
+  constexpr double YOUNG = 1e4;
+  setMaterials(model, std::vector<Material>(model.num_tets, {YOUNG, 0.34, 500}));
+  StepSettings s = settings();
+  s.time_step = 0.3;
+  const Supports supports = holdNothing(model);
+  NodalField x = model.rest, pull(model.num_nodes);
+  double middle = 0;
+  for (int i = 0; i < model.num_nodes; ++i) middle += model.node_mass[i] / model.mass() * model.rest[i].z();
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    x[i] += 0.01 * Vector3d(std::sin(7 * x[i].z()), std::cos(5 * x[i].z()), 0);
+    pull[i].z() = 4 * YOUNG * model.node_mass[i] / model.mass() * (model.rest[i].z() - middle);
+  }
+  State state = startState(model, s, supports, x, Vector3d::Zero(), workspace);
+  for (int k = 1; k <= 20; ++k)
+  {
+    implicitEulerStep(model, s, supports, {}, pull, state, workspace);
+    const Vector3d falling = k * s.time_step * s.gravity;
+    EXPECT_LT((momentum(model, state.v) / model.mass() - falling).norm(), 1e-6 * falling.norm());
+  }
+}
+
 TEST_P(Stepping, MassDampingSlowsATranslationByItsFormula)
 {
   StepSettings s = settings();
