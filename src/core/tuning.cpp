@@ -468,6 +468,16 @@ private:
     return trial;
   }
 
+  bool wasTried(const Candidate& c) const
+  {
+    const Numerics n = numerics(c.mesh.element, c.mesh.level, c.step, 1e-2);
+    return std::any_of(result_.trials.begin(), result_.trials.end(), [&](const Trial& t) {
+      return t.role == Trial::Role::CANDIDATE && t.numerics.element == n.element &&
+             t.numerics.cell_size == n.cell_size && t.numerics.refine == n.refine &&
+             t.numerics.time_step == n.time_step && t.numerics.integrator == n.integrator;
+    });
+  }
+
   void tryCandidates()
   {
     const auto accurate = [&](const Trial& t) { return t.error <= request_.error; };
@@ -543,7 +553,7 @@ private:
     int tried = 0;
     for (const Candidate& c : list)
     {
-      if (c.mesh.error + c.step.error > AS_GOOD * least || secondsForeseen(c) > left()) continue;
+      if (c.mesh.error + c.step.error > AS_GOOD * least || secondsForeseen(c) > left() || wasTried(c)) continue;
       tryOut(c, 1e-2);
       if (++tried == 4) break;
     }
