@@ -1,6 +1,7 @@
 """What provokes: scenes, each with the truth that it is judged by. A scene here is the default one but for what it names."""
 import copy
 import os
+import threading
 
 import numpy as np
 
@@ -20,9 +21,11 @@ SEEDS = 100
 
 
 def mesh(name, points, tets):
+    """A file of them. Several threads may ask for it while programs read it: it is there as a whole, or not."""
     path = os.path.join(folder("meshes"), name)
-    if name.endswith(".msh"):
-        bodies.write_msh(path, points, tets)
+    part = f"{path}.{threading.get_ident()}"
+    bodies.write_msh(part, points, tets)
+    os.replace(part, path)
     return path
 
 
@@ -102,7 +105,7 @@ def settled():
     points, tets = bodies.bar()
     for kind, moved, label in (("double", False, "double"), ("float", False, "single"),
                                ("float", True, "single, moved back")):
-        path = mesh(f"far_{kind}.vtk", points, tets)
+        path = os.path.join(folder("meshes"), f"far_{kind}.vtk")
         bodies.write_vtk(path, points + FAR, tets, kind)
         at = 0.0 if moved else FAR
         tree = scene(path, wall=at, damping=CRITICAL, model__pose={"xyz": [-FAR * moved] * 3})

@@ -57,6 +57,10 @@ def foreign(axes, rows, mode, colors):
                          edgecolors="black", linewidths=0.5, zorder=4)
 
 
+def heading(figure, text):
+    figure.text(0.5, 0.985, text, ha="center", va="top", fontsize=11)
+
+
 def legend(figure, entries, columns):
     handles = [lines.Line2D([], [], ls="" if marker else "-", marker=marker or None, color=color, ms=6, lw=1.1,
                             mfc=color if fill else "none", mec="white" if fill else color, label=label)
@@ -91,7 +95,7 @@ def draw(scene, title, rows, own, place, others=()):
                   "% of the probe's stress")
         for axes in all_axes[1]:
             axes.set_xlabel("time per simulated second, implicit Euler steps of 20 ms (ms/s)")
-        figure.suptitle(f"{title}: equilibrium, error against the law's own reference", y=0.99, fontsize=11)
+        heading(figure, f"{title}: equilibrium, error against the law's own reference")
         entries = [(f"{LAWS[law]}, {element}", SHAPES[element], LAW_COLORS[law], True)
                    for law in LAWS for element in SHAPES
                    if any((row["elasticity"], row["element"]) == (law, element) for row in rows)]
@@ -106,7 +110,7 @@ def draw(scene, title, rows, own, place, others=()):
               lambda row: SHAPES[row["element"]], "% of the largest displacement", real_time=False)
         foreign(axes, others, "static", colors)
         axes.set(xlabel="time of finding the equilibrium (ms)", title="")
-        figure.suptitle(f"{title}: equilibrium, error of the tip", y=0.99, fontsize=11)
+        heading(figure, f"{title}: equilibrium, error of the tip")
         legend(figure, entries + stars("static"), 3)
         figure.tight_layout(rect=(0, 0, 1, 0.88))
         save(figure, place, f"{scene}_rest")
@@ -122,7 +126,7 @@ def draw(scene, title, rows, own, place, others=()):
         all_axes[0, 1].set_title("whole body, root mean square in space and time")
         for axes in all_axes[1]:
             axes.set_xlabel("time per simulated second (ms/s)")
-        figure.suptitle(f"{title}: motion, error against the law's own reference", y=0.99, fontsize=11)
+        heading(figure, f"{title}: motion, error against the law's own reference")
         entries = [(name, "o", INTEGRATOR_COLORS[key], True) for key, name in INTEGRATORS.items()]
         present = {(row["element"], row["elasticity"]) for row in rows if row["mode"] == "dynamic"}
         entries += [(f"{element}, {LAWS[law]}", shape, "0.4", True) for (element, law), shape in LAW_SHAPES.items()

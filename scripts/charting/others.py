@@ -86,7 +86,7 @@ def measure(study):
     for law, flags in (("green", []), ("linear", ["--linear"])):
         of_law = ways(study, law)
         tool = os.path.join(REPOSITORY, "bench", "calculix_bar")
-        for row in kept(f"calculix_{law}", [law], lambda flags=flags, tool=tool: lines(tool, *flags)):
+        for row in kept(f"calculix_{law}", [digest(tool)], lambda flags=flags, tool=tool: lines(tool, *flags)):
             rows.append({"program": "CalculiX " + (row["version"] or ""), "settings": row["element"], "law": law,
                          "element": "linear" if row["element"] == "C3D4" else "quadratic", "tets": row["tets"],
                          "mode": "static", "time_step": None, "ms": 1000 * row["seconds"],

@@ -90,6 +90,18 @@ class RunScene(unittest.TestCase):
             self.assertAlmostEqual(lowest["lower_left.y"], -0.445, delta=0.006)
             self.assertAlmostEqual(lowest["time"], 0.41, delta=0.015)
 
+    def test_a_body_that_spins_at_the_start(self):
+        thrown = ["--set", "fixed=[]", "--set", "gravity=[0, 0, 0]", "--set", "initial.velocity=[0, 0, 2]", "--set",
+                  "initial.spin=[3, 0, 0]"]
+        summary, probes, _ = self.run_scene(*thrown, "--steps", 1, "--set", "time_step=0.001")
+        # About the centre of mass: m (a^2 + l^2)/12.
+        energy = 80 * (2 ** 2 + (0.4 ** 2 + 1) / 12 * 3 ** 2) / 2
+        self.assertAlmostEqual(summary["energy"]["kinetic"], energy, delta=1e-3 * energy)
+        # v + w x r of the corner at (-0.2, -0.2, 0.5) from there
+        for axis, speed in (("x", 0), ("y", -3 * 0.5), ("z", 2 - 3 * 0.2)):
+            moved = probes[1]["lower_left." + axis] - probes[0]["lower_left." + axis]
+            self.assertAlmostEqual(moved, 0.001 * speed, delta=2e-5)
+
     def test_static_equilibrium(self):
         summary, probes, _ = self.run_scene("--static")
         self.assertEqual([row["time"] for row in probes], [0, 0])
