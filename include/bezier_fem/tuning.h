@@ -104,12 +104,12 @@ using Runner = std::function<Recording(const Scene&, const RunPlan&, const BodyP
  *
  * The reference is quadratic. Its own error has three parts, added: of the mesh, from the quadratic meshes in a row
  * that end with it; of the time step, from the steps in a row that end with it, on the scene's own mesh; of the
- * tolerance, there too, against one of 1e-8. For a row the estimate is Roache's grid convergence index (Perspective: a
- * method for uniform reporting of grid refinement studies, J. Fluids Eng. 116, 1994): F d/(r^p - 1), d the difference
- * of the last two, r = 2 the ratio of their sizes, p the order seen with the last three, held between 0.5 and 2 (steps:
- * the integrator's order), F = 1.25; with two only F = 3 and p = 1. Meshes of a surface differ in their boundaries and
- * in what a region selects as well, which does not fall smoothly: of them the estimate is at least 2 times the
- * difference of neighbours in cell size, the last pair's or the one before.
+ * tolerance, there too, against one of 1e-6 (statics: 1e-8). For a row the estimate is Roache's grid convergence index
+ * (Perspective: a method for uniform reporting of grid refinement studies, J. Fluids Eng. 116, 1994): F d/(r^p - 1), d
+ * the difference of the last two, r = 2 the ratio of their sizes, p the order seen with the last three, held between
+ * 0.5 and 2 (steps: the integrator's order), F = 1.25; with two only F = 3 and p = 1. Meshes of a surface differ in
+ * their boundaries and in what a region selects as well, which does not fall smoothly: of them the estimate is at least
+ * 2 times the difference of neighbours in cell size, the last pair's or the one before.
  *
  * A candidate counts as accurate when its difference from the reference plus the reference's own error is at most what
  * is wanted. Candidates are run in the order of the cost foreseen, those left out whose mesh and time step have one and

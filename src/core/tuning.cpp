@@ -14,10 +14,9 @@ namespace bezier_fem
 {
 namespace
 {
-constexpr double REFERENCE_SHARE = 0.25;  // of the wanted error, that the reference's own may be
-constexpr double CLIMB_SHARE = 0.5;       // of the time for tuning, until the reference stands
-constexpr double CLIMB_LIMIT = 0.65;      // after which the last run of that is stopped
-constexpr double EXACT_TOLERANCE = 1e-8;
+constexpr double REFERENCE_SHARE = 0.25;       // of the wanted error, that the reference's own may be
+constexpr double CLIMB_SHARE = 0.5;            // of the time for tuning, until the reference stands
+constexpr double CLIMB_LIMIT = 0.65;           // after which the last run of that is stopped
 constexpr int OWN_MESH = 0;                    // level: the scene's cell size; of a file of tetrahedra, not refined
 constexpr int FIRST_STEP = -1, LAST_STEP = 8;  // time steps: the scene's / 2^j
 constexpr int FIRST_SURFACE_LEVEL = -4, LAST_SURFACE_LEVEL = 16;  // cell sizes: the scene's / 2^(k/4)
@@ -161,6 +160,8 @@ private:
   /** From one mesh to the next in the rows that show how errors fall. */
   int stride() const { return surface_ ? 2 : 1; }
   bool statics() const { return request_.plan.statics; }
+  // What a residual leaves of an equilibrium's error grows with the mesh; of a step's, whose mass is there, hardly.
+  double exactTolerance() const { return statics() ? 1e-8 : 1e-6; }
 
   Numerics numerics(Element element, int level, const Step& step, double tolerance) const
   {
@@ -228,8 +229,8 @@ private:
 
   void chooseStep()
   {
-    const Recording first =
-        run(Trial::Role::STEP, numerics(Element::QUADRATIC, OWN_MESH, {integrators_.back(), 0, 0, 0}, EXACT_TOLERANCE));
+    const Recording first = run(
+        Trial::Role::STEP, numerics(Element::QUADRATIC, OWN_MESH, {integrators_.back(), 0, 0, 0}, exactTolerance()));
     if (first.status == RunStatus::REFUSED) throw InputError(first.reason);
     points_ = first.body;
 
@@ -251,8 +252,8 @@ private:
                            ? "--quantity: is stress, but the scene has no probes, or they bear no stress"
                            : "the scene does not move: there is no error to speak of");
     }
-    // What a residual leaves of an equilibrium's error grows with the mesh; of a step's, whose mass is there, hardly.
-    const std::vector<double> tolerances = statics() ? std::vector<double>{1e-7} : std::vector<double>{1e-5, 1e-6};
+    const std::vector<double> tolerances =
+        statics() ? std::vector<double>{1e-7} : std::vector<double>{1e-3, 1e-4, 1e-5};
     for (const double tolerance : tolerances)
     {
       const Recording r = run(Trial::Role::STEP, numerics(Element::QUADRATIC, OWN_MESH, reference_step_, tolerance));
@@ -273,7 +274,7 @@ private:
     double error = NO_ERROR_KNOWN;
     for (;; ++j)
     {
-      const Numerics n = numerics(Element::QUADRATIC, OWN_MESH, {finest, j, 0, 0}, EXACT_TOLERANCE);
+      const Numerics n = numerics(Element::QUADRATIC, OWN_MESH, {finest, j, 0, 0}, exactTolerance());
       row.push_back(run(Trial::Role::STEP, n));
       trials.push_back(result_.trials.size() - 1);
       if (row.size() > 1)
@@ -299,6 +300,12 @@ private:
       steps_.push_back({finest, at, own, msOf(row[k], timeStep(at))});
     }
     reference_step_ = steps_.back();
+    const double most = 0.6 * request_.error;  // the mesh has its part too
+    double enough = row.back().ms_per_second;  // what a step that will do costs
+    for (std::size_t k = 0; k < row.size(); ++k)
+    {
+      if (steps_[k].error <= most) enough = std::min(enough, row[k].ms_per_second);
+    }
     for (std::size_t i = 0; i + 1 < integrators_.size(); ++i)
     {
       for (int other = FIRST_STEP; other <= LAST_STEP; ++other)
@@ -309,7 +316,9 @@ private:
         result_.trials.back().error = own;
         if (std::isnan(own)) continue;
         steps_.push_back({integrators_[i], other, own, msOf(r, timeStep(other))});
-        if (own <= 0.3 * request_.error || r.ms_per_second > row.back().ms_per_second) break;
+        // A step of half the size costs somewhat more than half as much, and has half the error at best.
+        const double halvings = std::max(0.0, std::log2(own / most));
+        if (own <= most / 2 || r.ms_per_second * std::pow(1.3, std::max(1.0, halvings)) > enough) break;
       }
     }
     return last;
@@ -459,6 +468,16 @@ private:
     return trial;
   }
 
+  bool wasTried(const Candidate& c) const
+  {
+    const Numerics n = numerics(c.mesh.element, c.mesh.level, c.step, 1e-2);
+    return std::any_of(result_.trials.begin(), result_.trials.end(), [&](const Trial& t) {
+      return t.role == Trial::Role::CANDIDATE && t.numerics.element == n.element &&
+             t.numerics.cell_size == n.cell_size && t.numerics.refine == n.refine &&
+             t.numerics.time_step == n.time_step && t.numerics.integrator == n.integrator;
+    });
+  }
+
   void tryCandidates()
   {
     const auto accurate = [&](const Trial& t) { return t.error <= request_.error; };
@@ -534,7 +553,7 @@ private:
     int tried = 0;
     for (const Candidate& c : list)
     {
-      if (c.mesh.error + c.step.error > AS_GOOD * least || secondsForeseen(c) > left()) continue;
+      if (c.mesh.error + c.step.error > AS_GOOD * least || secondsForeseen(c) > left() || wasTried(c)) continue;
       tryOut(c, 1e-2);
       if (++tried == 4) break;
     }

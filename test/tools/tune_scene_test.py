@@ -65,6 +65,7 @@ class TuneScene(unittest.TestCase):
                                  ((BAR, "--error", "0.1", "--duration", "-1"), "--duration"),
                                  ((BAR, "--error", "0.1", "--set", "element=cubic"), "element is cubic"),
                                  ((self.path("gone.yaml"), "--error", "0.1"), "gone.yaml"),
+                                 ((BAR, "--error", "0.1", "--local"), "--local"),
                                  ((BAR, "--error", "0.1", "--static", "--quantity", "stress", "--set", "probes={}"), "probes")]:
             self.assertIn(words, self.call(TUNE_SCENE, *arguments, "--out", self.out, status=2))
         self.assertFalse(os.path.exists(self.out))
