@@ -107,8 +107,8 @@ def advice(studies):
                     for some, step in ((euler, 0.02), (euler, 0.005), (second, 0.02)))
     fine20 = on(pick(rows, "dynamic"), "4x4x10")[0]
     yield (f"**The time step limits motion, not the mesh.** With implicit Euler steps of 20 ms the bar's tip is off by "
-           f"{percent(e20['error_tip'])} over 2 s on 120 quadratic tets, by {percent(fine20['error_tip'])} on 960, with "
-           f"5 ms by {percent(e5['error_tip'])}; its equilibrium on the 120 by "
+           f"{percent(e20['error_tip'])} over 2 s on 120 quadratic tets, by {percent(fine20['error_tip'])} on 960, "
+           f"with 5 ms by {percent(e5['error_tip'])}; its equilibrium on the 120 by "
            f"{percent(on(static, usual)[0]['error_tip'])}.",
            e20["error_tip"] > 3 * on(static, usual)[0]["error_tip"] and e5["error_tip"] < e20["error_tip"] and
            abs(fine20["error_tip"] / e20["error_tip"] - 1) < 0.1)
