@@ -281,9 +281,9 @@ class Engine(unittest.TestCase):
             runs = []
             really = engine.Comparison._run
 
-            def counted(self, missing):
+            def counted(self, missing, time_limit):
                 runs.append(len(missing))
-                really(self, missing)
+                really(self, missing, time_limit)
 
             engine.Comparison._run = counted
             try:
