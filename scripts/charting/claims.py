@@ -162,7 +162,7 @@ def advice(studies):
     yield (f"**`elasticity` is a choice of material, not of accuracy.** Converged, Green strain puts the bar's tip "
            f"{percent(apart['green'])} of its displacement from where co-rotated elasticity does, for "
            f"{cost['green']:.1f} times the time; small strain {percent(apart['linear'])}, for "
-           f"{cost['linear']:.2f}: only for small turns.",
+           f"{cost['linear']:.2f} of the time: it is for small turns only.",
            apart["linear"] > apart["green"])
 
     # 10 solver
