@@ -157,7 +157,7 @@ def advice(studies):
 
     # 9 laws
     apart = bar.apart
-    cost = {law: times(on(pick(rows, "dynamic", elasticity=law), usual)[0], e20)
+    cost = {law: times(on(pick([*rows, *bar.times], "dynamic", elasticity=law), usual)[0], e20)
             for law in ("green", "linear")}
     yield (f"**`elasticity` is a choice of material, not of accuracy.** Converged, Green strain puts the bar's tip "
            f"{percent(apart['green'])} of its displacement from where co-rotated elasticity does, for "
