@@ -69,7 +69,7 @@ def measure(study):
     for precision, name in BULLET.items():
         tool = f"bench_bullet_{precision}"
         told = kept(tool, [digest(program(tool))], lambda tool=tool: lines(
-            program(tool), "--law", "corotated", "--across", 2, 4, 8, "--time-step", 0.02, 0.005,
+            program(tool), "--law", "corotated", "--across", 2, 4, "--time-step", 0.02, 0.005,
             "--duration", study.duration))
         for row in told:
             moving = row["run"] == "swing"
