@@ -62,9 +62,12 @@ def heading(figure, text):
 
 
 def legend(figure, entries, columns):
-    handles = [lines.Line2D([], [], ls="" if marker else "-", marker=marker or None, color=color, ms=9 if marker == "*" else 6, lw=1.1,
-                            mfc=color if fill else "none", mec="white" if fill and marker != "*" else color, label=label)
-               for label, marker, color, fill in entries]
+    handles = []
+    for label, marker, color, fill in entries:
+        star = marker == "*"
+        handles.append(lines.Line2D([], [], ls="" if marker else "-", marker=marker or None, color=color,
+                                    ms=9 if star else 6, lw=1.1, mfc=color if fill else "none",
+                                    mec="white" if fill and not star else color, label=label))
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.965), ncol=columns, frameon=False,
                   fontsize=8, handletextpad=0.3, columnspacing=1.4)
 
