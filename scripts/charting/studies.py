@@ -324,7 +324,7 @@ def bar():
         across = (2, 4, 6) if law == "green" else (4, 6, 8)
         still = [quadratic(mesh((n, n, (5 * n + 1) // 2), 2), of_law, FOUR, DEEP) for n in across]
         if law == "green":
-            swinging, halvings, way, halved_ms = (2, 3, 4), 0, ("sdirk2", 4), (8, 4, 2)
+            swinging, halvings, way, halved_ms = (2, 4, 6), 0, ("sdirk2", 4), (8, 4, 2)
         else:
             swinging, halvings, way, halved_ms = (2, 3, 4), 1, ("explicit", 2), (0.2, 0.1, 0.05)
         free = [quadratic(mesh((n, n, (5 * n + 1) // 2), halvings), of_law, FOUR, stepping(*way)) for n in swinging]
