@@ -62,9 +62,12 @@ def heading(figure, text):
 
 
 def legend(figure, entries, columns):
-    handles = [lines.Line2D([], [], ls="" if marker else "-", marker=marker or None, color=color, ms=6, lw=1.1,
-                            mfc=color if fill else "none", mec="white" if fill else color, label=label)
-               for label, marker, color, fill in entries]
+    handles = []
+    for label, marker, color, fill in entries:
+        star = marker == "*"
+        handles.append(lines.Line2D([], [], ls="" if marker else "-", marker=marker or None, color=color,
+                                    ms=9 if star else 6, lw=1.1, mfc=color if fill else "none",
+                                    mec="white" if fill and not star else color, label=label))
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 0.965), ncol=columns, frameon=False,
                   fontsize=8, handletextpad=0.3, columnspacing=1.4)
 
@@ -112,7 +115,7 @@ def draw(scene, title, rows, own, place, others=()):
         axes.set(xlabel="time of finding the equilibrium (ms)", title="")
         heading(figure, f"{title}: equilibrium, error of the tip")
         legend(figure, entries + stars("static"), 3)
-        figure.tight_layout(rect=(0, 0, 1, 0.88))
+        figure.tight_layout(rect=(0, 0, 1, 0.84 if others else 0.88))
         save(figure, place, f"{scene}_rest")
 
         figure, all_axes = pyplot.subplots(2, 2, figsize=(9.5, 8), sharex=True)

@@ -32,46 +32,44 @@ def lines(*command):
     return [json.loads(line) for line in call(*command).splitlines()]
 
 
-def ways(study, law):
-    """Where the references' tip goes: at rest, and over time."""
-    references = {mode: study.references[f"{mode} {law}"]["overrides"] for mode in ("static", "dynamic")}
+def way(study, mode, law):
+    """Times and positions of the reference's tip: over time, or the start and the equilibrium."""
+    reference = study.references[f"{mode} {law}"]["overrides"]
 
     def compute():
-        result = {}
-        for mode, arguments in (("static", ["--static"]), ("dynamic", ["--duration", study.duration])):
-            out = folder(study.name, "ways")
-            values = {key.replace(".", "__"): value for key, value in references[mode].items()}
-            run_scene(study.scene, out, *arguments, "--probes", os.path.join(out, "probes.csv"), **values)
-            times, way = read_probe(os.path.join(out, "probes.csv"), TIP)
-            result[mode] = [times.tolist(), way.tolist()]
-        return result
+        probes = os.path.join(folder(study.name, "way"), f"{mode}_{law}.csv")
+        values = {key.replace(".", "__"): value for key, value in reference.items()}
+        run_scene(study.scene, os.path.dirname(probes), *(["--static"] if mode == "static" else
+                                                          ["--duration", study.duration]), "--probes", probes, **values)
+        times, positions = read_probe(probes, TIP)
+        return [times.tolist(), positions.tolist()]
 
-    result = kept(f"reference_{law}", [digest(program("run_scene")), references], compute)
-    return {mode: tuple(np.array(part) for part in pair) for mode, pair in result.items()}
+    times, positions = kept(f"{mode}_reference_{law}", [digest(program("run_scene")), reference], compute)
+    return np.array(times), np.array(positions)
 
 
-def at_rest(ways_of_law, tip):
-    _, way = ways_of_law["static"]
-    return float(np.linalg.norm(np.array(tip) - way[-1]) / np.linalg.norm(way[-1] - way[0]))
+def at_rest(reference, tip):
+    _, positions = reference
+    return float(np.linalg.norm(np.array(tip) - positions[-1]) / np.linalg.norm(positions[-1] - positions[0]))
 
 
-def in_motion(ways_of_law, trajectory, duration):
+def in_motion(reference, trajectory, duration):
     """Root mean square in time of the tip's distance, as bench_variants has it."""
-    times, way = ways_of_law["dynamic"]
+    times, positions = reference
     rows = np.array([row for row in trajectory if row[0] <= duration + 1e-9])
-    there = np.stack([np.interp(rows[:, 0], times, way[:, axis]) for axis in range(3)], axis=1)
+    there = np.stack([np.interp(rows[:, 0], times, positions[:, axis]) for axis in range(3)], axis=1)
     apart = np.linalg.norm(rows[:, 1:] - there, axis=1)
-    return float(np.sqrt((apart**2).mean()) / np.linalg.norm(way - way[0], axis=1).max())
+    return float(np.sqrt((apart**2).mean()) / np.linalg.norm(positions - positions[0], axis=1).max())
 
 
 def measure(study):
     """Rows: program, settings, tets, mode, error of the tip, ms a simulated second or in all."""
     rows = []
-    corotated = ways(study, "corotated")
+    rest, motion = (way(study, mode, "corotated") for mode in ("static", "dynamic"))
     for precision, name in BULLET.items():
         tool = f"bench_bullet_{precision}"
         told = kept(tool, [digest(program(tool))], lambda tool=tool: lines(
-            program(tool), "--law", "corotated", "--across", 2, 4, 8, "--time-step", 0.02, 0.005,
+            program(tool), "--law", "corotated", "--across", 2, 4, "--time-step", 0.02, 0.005,
             "--duration", study.duration))
         for row in told:
             moving = row["run"] == "swing"
@@ -81,10 +79,10 @@ def measure(study):
                          "tets": row["tets"], "mode": "dynamic" if moving else "static",
                          "time_step": row["time_step"] if moving else None,
                          "ms": row["ms_per_simulated_second"] if moving else row["ms"],
-                         "error_tip": in_motion(corotated, row["tip"], study.duration) if moving else
-                         at_rest(corotated, row["tip"])})
+                         "error_tip": in_motion(motion, row["tip"], study.duration) if moving else
+                         at_rest(rest, row["tip"])})
     for law, flags in (("green", []), ("linear", ["--linear"])):
-        of_law = ways(study, law)
+        of_law = way(study, "static", law)
         tool = os.path.join(REPOSITORY, "bench", "calculix_bar")
         for row in kept(f"calculix_{law}", [digest(tool)], lambda flags=flags, tool=tool: lines(tool, *flags)):
             rows.append({"program": "CalculiX " + (row["version"] or ""), "settings": row["element"], "law": law,

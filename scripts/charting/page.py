@@ -147,9 +147,10 @@ def text(studies, checks, lines):
     for study in studies:
         yield from paragraph(f"**{study.title}**")
         yield from references(study)
-        apart = study.apart
-        yield from paragraph(f"""Tip of the other laws at rest, from the co-rotated reference: Green strain
-            {percent(apart['green'])}, small strain {percent(apart['linear'])}.""")
+        told = ", ".join(f"{LAWS[law]} {percent(apart)}" for law, apart in study.apart.items())
+        yield from paragraph(f"Tip of the other laws at rest, from the co-rotated reference: {told}.")
+        for law, why in study.left_out.items():
+            yield from paragraph(f"Left out: {LAWS[law]}, {why}.")
     yield from paragraph("""
         Meshes of a surface at other cell sizes are not compared: they are other bodies, because CGAL rounds a surface
         differently and boxes and spheres hold other corners. What is held and loaded is what the scene selects on its

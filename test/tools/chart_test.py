@@ -19,6 +19,7 @@ import analysis  # noqa: E402  (the path comes first)
 import claims  # noqa: E402
 import engine  # noqa: E402
 import meshes  # noqa: E402
+import others  # noqa: E402
 import tools  # noqa: E402
 
 PROGRAM = os.path.abspath(sys.argv.pop()) if len(sys.argv) > 1 else None
@@ -69,6 +70,19 @@ class Analysis(unittest.TestCase):
         self.assertEqual(analysis.cheapest(points, 0.02), 1)
         self.assertEqual(analysis.cheapest(points, 0.01), 3)
         self.assertIsNone(analysis.cheapest(points, 1e-4))
+
+
+class Others(unittest.TestCase):
+    def test_distances_of_a_tip(self):
+        # A fall along a parabola to 0.5 m, sampled finely; another program that is 3 cm aside, or ends 5 cm higher
+        times = np.linspace(0, 1, 1001)
+        fall = np.stack([0 * times, -0.5 * times**2, 0 * times], axis=1)
+        aside = [[t, 0.03, -0.5 * t**2, 0] for t in np.linspace(0, 1.5, 16)]
+        self.assertAlmostEqual(others.in_motion((times, fall), aside, 1), 0.03 / 0.5, 5)
+        self.assertAlmostEqual(others.at_rest((times, fall), [0, -0.45, 0]), 0.1, 12)
+        # Off by t: the mean square of t at 0, 1/4, ... 1 is 0.375
+        drifting = [[t, t, -0.5 * t**2, 0] for t in np.linspace(0, 1, 5)]
+        self.assertAlmostEqual(others.in_motion((times, fall), drifting, 1), math.sqrt(0.375) / 0.5, 5)
 
 
 class Meshes(unittest.TestCase):
@@ -177,7 +191,7 @@ class Claims(unittest.TestCase):
     def study(self, ratios=(900, 300), **bent):
         """`bent` multiplies the error or the time of what it names."""
         study = self.Study()
-        study.rows = []
+        study.rows, study.times = [], []
         study.own = {"static corotated": {"tip": 0.001}}
         study.apart = {"green": 0.02 * bent.get("green", 1), "linear": 0.1}
         study.equal = {"wanted": 0.015}
@@ -281,9 +295,9 @@ class Engine(unittest.TestCase):
             runs = []
             really = engine.Comparison._run
 
-            def counted(self, missing):
+            def counted(self, missing, time_limit):
                 runs.append(len(missing))
-                really(self, missing)
+                really(self, missing, time_limit)
 
             engine.Comparison._run = counted
             try:
