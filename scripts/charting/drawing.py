@@ -135,6 +135,7 @@ def draw(scene, title, rows, own, place, others=()):
         entries += [(f"{element}, {LAWS[law]}", shape, "0.4", True) for (element, law), shape in LAW_SHAPES.items()
                     if (element, law) in present]
         entries += [("below 3 × reference's error", "o", "0.4", False), ("Pareto front", None, "0.25", False)]
-        legend(figure, entries + stars("dynamic"), 4)
-        figure.tight_layout(rect=(0, 0, 1, 0.905))
+        entries += stars("dynamic")
+        legend(figure, entries, 4)
+        figure.tight_layout(rect=(0, 0, 1, 0.965 - 0.02 * -(-len(entries) // 4)))
         save(figure, place, f"{scene}_dynamic")
