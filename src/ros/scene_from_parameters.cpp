@@ -102,8 +102,9 @@ NodeParameters readParameters(const ros::NodeHandle& private_handle)
   }
   result.scene = parseScene(toYaml(parameters), directory, source);
   if (result.scene.integrator == Integrator::STATIC)
-    throw InputError(source + ": integrator is static, which moves in no time; for the node it must be implicit_euler, "
-                              "sdirk2, auto or explicit");
+    throw InputError(source +
+                     ": integrator is static, which moves in no time; for the node it must be implicit_euler, "
+                     "sdirk2, auto or explicit");
   return result;
 }
 

@@ -120,8 +120,7 @@ TEST_F(MeshedSurface, ASceneSizesInItsWorld)
         directory_ / "", "test");
     const Simulation simulation(scene, 1, [](const std::string&) {});
     int count = 0;
-    for (int i = 0; i < simulation.model().num_nodes; ++i)
-      count += (simulation.model().rest[i] - place).norm() < 0.5;
+    for (int i = 0; i < simulation.model().num_nodes; ++i) count += (simulation.model().rest[i] - place).norm() < 0.5;
     return count;
   };
   const Eigen::Vector3d left(10, 2, 0);  // the surface's (1, 0, 0), scaled and turned
