@@ -130,7 +130,7 @@ class Study:
         try:
             with open(known, encoding="utf-8") as file:
                 told = json.load(file)
-            enough = [k for k, (_, tets) in enumerate(told["meshes"], 1) if tets > most]
+            enough = [k for k, (_, tets) in enumerate(told["meshes"], 1) if tets > most and k >= 3]
             if told["of"] == signature and enough:
                 return told["meshes"][:enough[0]]
         except FileNotFoundError:
@@ -141,7 +141,7 @@ class Study:
             path = self.mesh(f"adapted_{len(body.tets)}", body)
             result.append([path, len(body.tets)])
             say(f"{self.name}: adapted to {len(body.tets)} tets")
-            if len(body.tets) > most:
+            if len(body.tets) > most and len(result) >= 3:
                 break
             vtu = self.equilibrium(path)
             jumps = meshes.gradient_jumps(vtu["Points"], vtu["displacement"], vtu["connectivity"])
@@ -363,7 +363,10 @@ def bodies(name, scene_path, duration):
             if parts == 1 or len(body.tets) * parts**3 <= MOST_EVEN}
     within = [path for parts, path in even.items() if len(body.tets) * parts**3 <= MOST_STEPPED]
     lighter = [path for path, tets in adapted[1:] if tets <= MOST_STEPPED]
-    moving = [path for path, tets in adapted if tets <= MOST_MOVED][-3:]
+    light = [pair for pair in adapted if pair[1] <= MOST_MOVED][-3:]
+    if len(light) < 3:
+        light = adapted[:3]  # own errors take three meshes
+    moving = [path for path, _ in light]
     own, sizes = even[1], {path: tets ** (-1 / 3) for path, tets in adapted}
     for law in LAWS:
         of_law = {"elasticity": law}
@@ -387,7 +390,7 @@ def bodies(name, scene_path, duration):
             swings += [make(own, BLOCKS) for make in (quadratic, linear)]
         elif law == "linear":
             swings += [quadratic(own, of_law, stepping(way, 5)) for way in ("implicit_euler", "sdirk2")]
-        finest = adapted[-3:] if law != "green" else [pair for pair in adapted if pair[1] <= MOST_MOVED][-3:]
+        finest = adapted[-3:] if law != "green" else light
         still = [quadratic(path, of_law, FOUR, DEEP) for path, _ in finest]
         moved = [quadratic(path, of_law, FOUR, stepping("sdirk2", 4)) for path in moving]
         halved = [quadratic(own, of_law, FOUR, stepping("sdirk2", ms)) for ms in (8, 4, 2)]

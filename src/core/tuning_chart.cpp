@@ -80,14 +80,16 @@ void writeTuningChart(const std::string& path, const Tuning& tuning, const TuneR
   constexpr int WIDTH = 720, HEIGHT = 480;
   Axis x, y;
   x.from = 80;
-  x.to = WIDTH - 20;
+  x.to = WIDTH - 40;
   y.from = HEIGHT - 60;
-  y.to = 40;
+  y.to = 56;
+  // What is far below the wanted error matters to nobody, and would press the rest together: it stands at the foot.
+  const auto shown = [&](double error) { return std::max(error, 0.01 * request.error); };
   for (const Trial& t : tuning.trials)
   {
     if (!(t.error > 0)) continue;
     x.take(t.cost);
-    y.take(t.error);
+    y.take(shown(t.error));
   }
   y.take(request.error);
   if (request.budget_ms) x.take(*request.budget_ms);
@@ -125,9 +127,9 @@ void writeTuningChart(const std::string& path, const Tuning& tuning, const TuneR
   if (request.budget_ms) line(x.at(*request.budget_ms), y.from, x.at(*request.budget_ms), y.to, WANTED);
   text((x.from + x.to) / 2, HEIGHT - 20,
        request.plan.statics ? "time of the solve, ms" : "time for one time_step of the scene as given, ms", "middle");
-  text(x.from, 24,
-       "estimated error; filled: tried as a whole, empty: its mesh&#8217;s or its step&#8217;s part alone; blue: "
-       "quadratic, orange: linear, green: graded mesh; ring: chosen",
+  text(x.from, 20, "Estimated error. Filled: of the whole model; empty: the part of its mesh or its time step alone.",
+       "start");
+  text(x.from, 40, "Blue: quadratic elements, orange: linear, green: graded mesh. Ring: chosen. Dashed: wanted.",
        "start");
   for (const Trial& t : tuning.trials)
   {
@@ -136,12 +138,12 @@ void writeTuningChart(const std::string& path, const Tuning& tuning, const TuneR
                               : t.numerics.element == Element::LINEAR ? "#e80"
                                                                       : "#06c";
     const bool whole = t.role == Trial::Role::CANDIDATE || t.role == Trial::Role::LOCAL;
-    svg << "<circle cx=\"" << x.at(t.cost) << "\" cy=\"" << y.at(t.error) << "\" r=\"4\" stroke=\"" << color
+    svg << "<circle cx=\"" << x.at(t.cost) << "\" cy=\"" << y.at(shown(t.error)) << "\" r=\"4\" stroke=\"" << color
         << "\" fill=\"" << (whole ? color : "none") << "\"/>\n";
   }
   if (std::isfinite(tuning.error) && tuning.error > 0)
   {
-    svg << "<circle cx=\"" << x.at(tuning.cost) << "\" cy=\"" << y.at(tuning.error)
+    svg << "<circle cx=\"" << x.at(tuning.cost) << "\" cy=\"" << y.at(shown(tuning.error))
         << "\" r=\"9\" stroke=\"black\" stroke-width=\"2\" fill=\"none\"/>\n";
   }
   svg << "</svg>\n";
