@@ -109,8 +109,8 @@ constexpr int MAX_SUBSTEPS = 32;
  * A step in which an element turns by more than MAX_TURN is taken back and done in sub-steps short enough, down to
  * time_step / MAX_SUBSTEPS; except while elements are inverted, when StepReport::turn alone tells.
  *
- * With co-rotated elasticity dv is shortened where the held rotations have hidden so much of a stressed body's stiffness
- * that the step would go too far; the system's residual is that of the whole dv. Linear momentum is kept.
+ * With co-rotated elasticity dv is shortened where the held rotations have hidden so much of a stressed body's
+ * stiffness that the step would go too far; the system's residual is that of the whole dv. Linear momentum is kept.
  *
  * With Green's strain implicit Euler itself, solved for the end of the step by Newton's method:
  *     M dv + dt (f_el(x + dt (v + dv)) + D (v + dv) - f_ext) = 0,   D = a M + b K of the start of the step, projected;
