@@ -42,8 +42,8 @@ nlohmann::json bench(const std::string& file, const std::vector<std::string>& ov
   FusedAssembler fused(model, A);
   fused.assemble(model, partition, rotations, 1, dt * dt, A);
   Yardstick yardstick(A);
-  NodalField product(partition.rows());
-  AlignedVector<double> diagonal(8 * static_cast<std::size_t>(partition.rows()));
+  NodalField product(model.num_nodes);
+  AlignedVector<double> diagonal(8 * static_cast<std::size_t>(model.num_nodes));
 
   Timed stages[]{
       {"warped", [&] { warpedMatrices(model, partition, stiffness, rotations, 1, dt * dt, elements); }},

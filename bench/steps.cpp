@@ -27,7 +27,7 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, i
   AssembledMatrix A(model);
   FusedAssembler(model, A).assemble(model, partition, rest, 1, dt * dt, A);
   Yardstick yardstick(A);
-  NodalField product(partition.rows());
+  NodalField product(model.num_nodes);
   std::vector<double> own_times;
   for (int k = 0; k < 41; ++k)
   {

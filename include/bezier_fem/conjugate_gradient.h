@@ -66,10 +66,10 @@ private:
   double floor_ = 0;
   AlignedVector<double> diagonal_, inverse_;
   NodalField r_, z_, p_, q_;
-  std::vector<double> partial_;  // a number a thread
+  std::vector<double> partial_;  // a number a chunk of nodes
 
   template <class F>
-  double sumOverThreads(const Partition& partition, const F& f);
+  double sum(const Partition& partition, const F& f);
 };
 
 }  // namespace bezier_fem

@@ -12,7 +12,7 @@
 namespace bezier_fem
 {
 /** Elements are stored in blocks of so many, one a SIMD lane, whatever the width of the machine's registers. */
-constexpr int LANES = 8;
+constexpr int LANES = 16;
 
 /**
  * A body at rest: geometry, material and numbering. Does not change while it is simulated, except for its material
@@ -53,7 +53,9 @@ struct Model
   AlignedVector<int> block_nodes;            // [block][nodes_per_tet][LANES]
   AlignedVector<double> block_gradients;     // [block][9][LANES], g_1 g_2 g_3, 1/m
   AlignedVector<double> block_coefficients;  // [block][3][LANES]: V lambda_L, V mu (Pa m^3), V rho (kg)
-  AlignedVector<double> block_mean;          // [block][LANES]: V meanLambda() (Pa m^3); empty where all are zero
+  // Where elements leave what they add to a node (kernels.h, NodeShares)
+  std::vector<int> share_begin, share_slots;
+  AlignedVector<double> block_mean;  // [block][LANES]: V meanLambda() (Pa m^3); empty where all are zero
 
   const int* nodesOf(int tet) const { return tets.data() + static_cast<std::ptrdiff_t>(tet) * nodes_per_tet; }
   bool quadratic() const { return nodes_per_tet == QUADRATIC_NODES; }

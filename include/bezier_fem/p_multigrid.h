@@ -34,8 +34,8 @@ public:
    * @param inverse  inverses of the diagonal blocks, zero where held: ConjugateGradient::inverse()
    * @return         false where the linear elements' system is too ill-conditioned for single precision
    */
-  bool prepare(const SystemOperator& system, const Model& model, const Rotations& rotations,
-               const std::vector<std::uint8_t>& held, double alpha, double beta, const AlignedVector<double>& inverse);
+  bool prepare(const Model& model, const Rotations& rotations, const std::vector<std::uint8_t>& held, double alpha,
+               double beta, const AlignedVector<double>& inverse);
 
   /** To be called when the model's materials have changed, or when the factor is to be that of the next rotations. */
   void forget() { factored_ = false; }
@@ -45,17 +45,29 @@ public:
   void took(int iterations);
 
   /** z = about A^-1 r on the free components, 0 on the held ones. */
-  void apply(const Partition& partition, const NodalField& r, NodalField& z);
+  void apply(const NodalField& r, NodalField& z);
+
+  /** Whether improve() can be asked. */
+  bool improves() const { return quadratic_ != nullptr; }
+  /**
+   * Quadratic elements: conjugate gradients for A e = r in single precision, which is twice as fast. Their rounding
+   * errors are relative to e: what is left of r after u += e has to be computed afresh, in double precision.
+   * @param target  of sqrt(r^T B^-1 r)
+   * @return        iterations
+   */
+  int improve(const NodalField& r, double target, int max_iterations, NodalField& u);
 
 private:
+  class QuadraticLevel;
+
   bool factor(const Model& model, const Rotations& rotations, const std::vector<std::uint8_t>& held);
-  void estimateLargest(const Model& model);
   void turnFrames(const Model& model, const Rotations& rotations);
-  void smooth(const Partition& partition, const double* q, NodalField& z, int products);
-  void addCorrection(NodalField& z);
+  void solveCoarse();
+  void cycle();
 
   std::vector<int> node_of_vertex_;              // of the linear elements, to the model's nodes
   std::vector<std::array<int, 2>> vertices_of_;  // the two vertices of each node
+  std::vector<int> edges_begin_, edges_;         // of each vertex: the nodes of its edges
   std::unique_ptr<Model> linear_;
   Partition linear_partition_;
   Rotations linear_rotations_;  // only their gradients are looked at
@@ -67,13 +79,9 @@ private:
   double alpha_ = 0, beta_ = 0;
   std::vector<std::uint8_t> held_;
   AlignedVector<float> factored_frames_;
-  AlignedVector<float> frames_;        // 9 a vertex, by columns
-  AlignedVector<float> right_, left_;  // 4 a vertex
-  double largest_ = 0;                 // eigenvalue of B^-1 A
-
-  const SystemOperator* system_ = nullptr;
-  const AlignedVector<double>* inverse_ = nullptr;
-  NodalField residual_, direction_, correction_, product_;
+  AlignedVector<float> frames_;                // 9 a vertex, by columns
+  AlignedVector<float> right_, left_;          // 4 a vertex
+  std::unique_ptr<QuadraticLevel> quadratic_;  // null for linear elements
 };
 
 }  // namespace bezier_fem

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include "bezier_fem/model.h"
@@ -8,34 +9,37 @@
 namespace bezier_fem
 {
 /**
- * How a model's elements and nodes are shared among threads: contiguous ranges, one a thread. An element loop that adds
- * to nodes writes rows of its own: a node that an earlier thread's elements have too gets a ghost row after the last
- * node, and foldGhosts() adds those up in a fixed order. Results are therefore the same in every run with the same
- * number of threads.
+ * How a model's elements and nodes are shared among threads: contiguous ranges, one a thread. Nodes come in chunks, and
+ * sums over nodes are made chunk by chunk, so that they are the same for any number of threads. What elements add to
+ * nodes goes to the memory here, from where it is summed up node by node: one user at a time.
  */
 class Partition
 {
 public:
   Partition(const Model& model, int threads);
 
+  /** Nodes of a chunk: whole cache lines of any field, so that no two threads write to one. */
+  static constexpr int CHUNK = 256;
+
   int threads() const { return static_cast<int>(block_begin_.size()) - 1; }
   int blockBegin(int thread) const { return block_begin_[thread]; }
   int blockEnd(int thread) const { return block_begin_[thread + 1]; }
-  int nodeBegin(int thread) const { return node_begin_[thread]; }
-  int nodeEnd(int thread) const { return node_begin_[thread + 1]; }
+  int nodeBegin(int thread) const { return firstOf(chunk_begin_[thread]); }
+  int nodeEnd(int thread) const { return firstOf(chunk_begin_[thread + 1]); }
 
-  /** Rows of a field that element loops add to: nodes and ghosts. */
-  int rows() const { return num_nodes_ + static_cast<int>(ghost_of_.size()); }
-  /** [block][node][LANES], like Model::block_nodes with ghost rows in place of shared nodes. */
-  const int* scatter() const { return scatter_.data(); }
-  /** Adds every ghost row to its node; `stride` doubles a row. */
-  void foldGhosts(double* field, int stride) const;
+  int numChunks() const { return (num_nodes_ + CHUNK - 1) / CHUNK; }
+  int chunkBegin(int thread) const { return chunk_begin_[thread]; }
+  int chunkEnd(int thread) const { return chunk_begin_[thread + 1]; }
+  /** First node of a chunk, or the number of nodes. */
+  int firstOf(int chunk) const { return std::min(num_nodes_, chunk * CHUNK); }
+
+  /** Zeros, then room for the shares of all elements (kernels.h). */
+  double* shares() const { return shares_.data(); }
 
 private:
   int num_nodes_;
-  std::vector<int> block_begin_, node_begin_;  // threads + 1
-  AlignedVector<int> scatter_;
-  std::vector<int> ghost_of_;  // node of each ghost row
+  std::vector<int> block_begin_, chunk_begin_;  // threads + 1
+  mutable AlignedVector<double> shares_;
 };
 
 }  // namespace bezier_fem

@@ -6,7 +6,7 @@ namespace bezier_fem
 {
 /**
  * alpha M + beta K of a body in one state, as a solver sees it: symmetric, and positive definite for alpha > 0. Fields
- * that it writes have partition.rows() rows.
+ * that it writes have model.num_nodes rows.
  */
 class SystemOperator
 {

@@ -14,8 +14,7 @@ namespace
 {
 kernels::Elements elementsOf(const Model& model)
 {
-  return {model.nodes_per_tet, 1, model.block_nodes.data(), model.block_nodes.data(), model.block_coefficients.data(),
-          meanOf(model)};
+  return bezier_fem::elementsOf(model, 1);
 }
 
 int pairsOf(const Model& model)
@@ -135,9 +134,9 @@ void AssembledMatrix::diagonal(AlignedVector<double>& blocks) const
   {
     const double* from = blocks_.data() + 9 * static_cast<std::ptrdiff_t>(diagonal_[i]);
     double* to = blocks.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i;
-    const std::array<int, 6> upper{0, 3, 6, 4, 7, 8};
-    for (int k = 0; k < 6; ++k) to[k] = from[upper[k]];
-    to[6] = to[7] = 0;
+    const std::array<int, 7> place{0, 4, 8, 0, 3, 6, 7};  // of a block by columns
+    for (int k = 0; k < 7; ++k) to[k] = from[place[k]];
+    to[3] = to[7] = 0;
   }
 }
 

@@ -20,32 +20,32 @@ struct AssembledSystem::ByProducts
   }
 
   /**
-   * Fills `matrices` with what add_product(elements, block, block + 1, u, y) makes of unit vectors.
+   * Fills `matrices` with the shares that add_product(elements, block, block + 1, u, shares) has of unit vectors.
    * @param points  rotations an element
    */
   template <class AddProduct>
   void fill(const Model& model, const Partition& partition, int points, const AddProduct& add_product)
   {
     const int n = model.nodes_per_tet, rows = n * LANES;
-    const kernels::Elements elements{
-        n, points, own_nodes.data(), own_nodes.data(), model.block_coefficients.data(), meanOf(model)};
+    const kernels::Elements elements{n, points, own_nodes.data(), model.block_coefficients.data(), meanOf(model)};
+    double* shares = partition.shares() + kernels::ZERO_ROWS * kernels::SHARES;
     forEachThread(partition, [&](int thread) {
-      NodalField u(rows), y(rows);
+      NodalField u(rows);
       for (int block = partition.blockBegin(thread); block < partition.blockEnd(thread); ++block)
       {
         for (int column = 0; column < 3 * n; ++column)
         {
           const int J = column / 3, axis = column % 3;
           for (int lane = 0; lane < LANES; ++lane) u[J * LANES + lane][axis] = 1;
-          y.setZero();
-          add_product(elements, block, block + 1, u.data(), y.data());
+          add_product(elements, block, block + 1, u.data(), shares);
           for (int lane = 0; lane < LANES; ++lane)
           {
             u[J * LANES + lane][axis] = 0;
             for (int I = 0; I <= J; ++I)
             {
               double* to = matrices.blocks.data() + matrices.at(block * LANES + lane, I, J) + 3 * axis;
-              std::copy_n(y.data() + 4L * (I * LANES + lane), 3, to);
+              std::copy_n(shares + kernels::SHARES * (static_cast<long>(block) * n + I) + 4 * kernels::slotOf(lane), 3,
+                          to);
             }
           }
         }

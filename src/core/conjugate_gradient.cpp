@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <limits>
 
 #include "bezier_fem/p_multigrid.h"
 #include "kernels.h"
@@ -13,13 +14,12 @@ namespace bezier_fem
 {
 namespace
 {
-constexpr int PARTIAL_STRIDE = 8;  // a cache line a thread
 
 /** Inverse of the block over the axes that are free, zero elsewhere; `definite` is cleared where it is not positive. */
 Eigen::Matrix3d invertFree(const double* d, std::uint8_t held, bool& definite)
 {
   Eigen::Matrix3d block;
-  block << d[0], d[1], d[2], d[1], d[3], d[4], d[2], d[4], d[5];
+  block << d[0], d[4], d[5], d[4], d[1], d[6], d[5], d[6], d[2];
   for (int axis = 0; axis < 3; ++axis)
   {
     if (!(held >> axis & 1)) continue;
@@ -38,25 +38,20 @@ Eigen::Matrix3d invertFree(const double* d, std::uint8_t held, bool& definite)
 }  // namespace
 
 ConjugateGradient::ConjugateGradient(const Model& model, const Partition& partition)
-    : diagonal_(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * partition.rows()),
+    : diagonal_(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes),
       inverse_(static_cast<std::size_t>(kernels::INVERSE_STRIDE) * model.num_nodes),
-      r_(partition.rows()),
+      r_(model.num_nodes),
       z_(model.num_nodes),
       p_(model.num_nodes),
-      q_(partition.rows()),
-      partial_(static_cast<std::size_t>(partition.threads()) * PARTIAL_STRIDE)
+      q_(model.num_nodes),
+      partial_(partition.numChunks())
 {
 }
 
 template <class F>
-double ConjugateGradient::sumOverThreads(const Partition& partition, const F& f)
+double ConjugateGradient::sum(const Partition& partition, const F& f)
 {
-  forEachThread(partition, [&](int t) {
-    partial_[static_cast<std::size_t>(t) * PARTIAL_STRIDE] = f(partition.nodeBegin(t), partition.nodeEnd(t));
-  });
-  double sum = 0;
-  for (int t = 0; t < partition.threads(); ++t) sum += partial_[static_cast<std::size_t>(t) * PARTIAL_STRIDE];
-  return sum;
+  return sumOverNodes(partition, partial_, f);
 }
 
 bool ConjugateGradient::prepare(const SystemOperator& system, const Model& model, const Partition& partition,
@@ -64,8 +59,8 @@ bool ConjugateGradient::prepare(const SystemOperator& system, const Model& model
 {
   system.diagonal(diagonal_);
   std::atomic<bool> all_definite = true;
-  const double sum = sumOverThreads(partition, [&](int begin, int end) {
-    double floor2 = 0;
+  const double floor2 = sum(partition, [&](int begin, int end) {
+    double part = 0;
     bool definite = true;
     for (int i = begin; i < end; ++i)
     {
@@ -74,18 +69,18 @@ bool ConjugateGradient::prepare(const SystemOperator& system, const Model& model
       double* out = inverse_.data() + static_cast<std::ptrdiff_t>(kernels::INVERSE_STRIDE) * i;
       for (int axis = 0; axis < 3; ++axis) Eigen::Map<Eigen::Vector3d>(out + 4 * axis) = inverse.col(axis);
       // M times a uniform field of ones: the integral of rho B_I.
-      floor2 += model.node_mass[i] * model.node_mass[i] * inverse.trace() / 3;
+      part += model.node_mass[i] * model.node_mass[i] * inverse.trace() / 3;
     }
     if (!definite) all_definite = false;
-    return floor2;
+    return part;
   });
-  floor_ = load_floor * std::sqrt(sum);
+  floor_ = load_floor * std::sqrt(floor2);
   return all_definite;
 }
 
 double ConjugateGradient::norm(const Partition& partition, const NodalField& r)
 {
-  return std::sqrt(sumOverThreads(partition, [&](int begin, int end) {
+  return std::sqrt(sum(partition, [&](int begin, int end) {
     double sum = 0;
     for (int i = begin; i < end; ++i)
     {
@@ -119,6 +114,7 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     return report;
   }
   bool may_restart = true;
+  double residual_before = std::numeric_limits<double>::infinity();
   while (true)
   {
     system.product(u, q_);
@@ -129,7 +125,7 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
       p_.matrix().middleCols(begin, count).setZero();
     });
     // With a step of zero, advance() leaves r and sets z.
-    double norm2 = sumOverThreads(partition, [&](int begin, int end) {
+    double norm2 = sum(partition, [&](int begin, int end) {
       return kernel.advance(begin, end, 0, p_.data(), q_.data(), inverse_.data(), z_.data(), r_.data(), z_.data());
     });
     if (may_restart && norm2 > scale * scale)
@@ -143,25 +139,34 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     report.residual = std::sqrt(norm2) / scale;
     report.converged = report.residual <= tolerance;
     if (report.converged || report.iterations >= max_iterations || !std::isfinite(norm2)) return report;
+    const double target = tolerance * scale;
+    if (multigrid && multigrid->improves() && report.residual < 0.5 * residual_before)
+    {
+      // What single precision can do at once is three digits or so. A little below the target, so that its rounding
+      // does not cost a second round.
+      residual_before = report.residual;
+      report.iterations += multigrid->improve(r_, std::max(0.9 * target, 1e-3 * std::sqrt(norm2)),
+                                              max_iterations - report.iterations, u);
+      continue;
+    }
     const auto slope = [&] {
       if (!multigrid) return norm2;
-      multigrid->apply(partition, r_, z_);
-      return sumOverThreads(partition,
-                            [&](int begin, int end) { return kernel.dot(begin, end, r_.data(), z_.data()); });
+      multigrid->apply(r_, z_);
+      return sum(partition, [&](int begin, int end) { return kernel.dot(begin, end, r_.data(), z_.data()); });
     };
     double rz = slope();
     if (!(rz > 0))
     {
+      if (!multigrid) return report;
       multigrid = nullptr;  // has lost its way, as it may with every element turned inside out
       continue;
     }
     p_.matrix() = z_.matrix();
-    const double target = tolerance * scale;
     while (report.iterations < max_iterations)
     {
       system.product(p_, q_);
       const double curvature =
-          sumOverThreads(partition, [&](int begin, int end) { return kernel.dot(begin, end, p_.data(), q_.data()); });
+          sum(partition, [&](int begin, int end) { return kernel.dot(begin, end, p_.data(), q_.data()); });
       ++report.iterations;
       if (!(curvature > 0))
       {
@@ -169,7 +174,7 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
         return report;
       }
       const double before = rz;
-      norm2 = sumOverThreads(partition, [&](int begin, int end) {
+      norm2 = sum(partition, [&](int begin, int end) {
         return kernel.advance(begin, end, before / curvature, p_.data(), q_.data(), inverse_.data(), u.data(),
                               r_.data(), z_.data());
       });

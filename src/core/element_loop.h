@@ -16,21 +16,42 @@ inline const double* meanOf(const Model& model)
 }
 
 /** @param points  rotations an element */
-inline kernels::Elements elementsOf(const Model& model, const Partition& partition, int points)
+inline kernels::Elements elementsOf(const Model& model, int points)
 {
-  return {model.nodes_per_tet, points, model.block_nodes.data(), partition.scatter(), model.block_coefficients.data(),
-          meanOf(model)};
+  return {model.nodes_per_tet, points, model.block_nodes.data(), model.block_coefficients.data(), meanOf(model)};
 }
 
-/** Clears partition.rows() rows of `stride` doubles, runs loop(elements, begin, end) on blocks, adds the ghosts. */
-template <class Loop>
-void accumulate(const Model& model, const Partition& partition, int points, double* out, int stride, const Loop& loop)
+inline kernels::NodeShares sharesOf(const Model& model)
 {
-  std::fill_n(out, static_cast<std::ptrdiff_t>(stride) * partition.rows(), 0.0);
+  return {model.share_begin.data(), model.share_slots.data()};
+}
+
+/** Runs loop(elements, begin, end, shares) on blocks of elements, then sums the shares up to out. */
+template <class Loop>
+void accumulate(const Model& model, const Partition& partition, int points, double* out, const Loop& loop)
+{
   forEachThread(partition, [&](int t) {
-    loop(elementsOf(model, partition, points), partition.blockBegin(t), partition.blockEnd(t));
+    loop(elementsOf(model, points), partition.blockBegin(t), partition.blockEnd(t),
+         partition.shares() + kernels::ZERO_ROWS * kernels::SHARES);
   });
-  partition.foldGhosts(out, stride);
+  forEachThread(partition, [&](int t) {
+    kernels::table().sum_shares(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), partition.shares(),
+                                nullptr, out);
+  });
+}
+
+/** The same of diagonal blocks, DIAGONAL_STRIDE doubles a node. */
+template <class Loop>
+void accumulateDiagonal(const Model& model, const Partition& partition, int points, double* out, const Loop& loop)
+{
+  forEachThread(partition, [&](int t) {
+    loop(elementsOf(model, points), partition.blockBegin(t), partition.blockEnd(t),
+         partition.shares() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
+  });
+  forEachThread(partition, [&](int t) {
+    kernels::table().sum_diagonals(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), partition.shares(),
+                                   out);
+  });
 }
 
 }  // namespace bezier_fem

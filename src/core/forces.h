@@ -9,7 +9,7 @@ namespace bezier_fem
 void externalForce(const Model& model, const StepSettings& settings, const std::vector<AppliedLoad>& loads,
                    const NodalField& external, double time, const NodalField& x, NodalField& f);
 
-/** f = f_el(x) of the elasticity that the settings name, N; partition.rows() rows. */
+/** f = f_el(x) of the elasticity that the settings name, N; model.num_nodes rows. */
 void internalForce(const Model& model, const Partition& partition, Elasticity elasticity, const Rotations& rotations,
                    const NodalField& x, NodalField& f);
 

@@ -20,15 +20,16 @@ const kernels::GreenTable& kernel(const Model& model)
 
 void greenForce(const Model& model, const Partition& partition, const NodalField& x, NodalField& out)
 {
-  accumulate(model, partition, 1, out.data(), 4, [&](const kernels::Elements& elements, int begin, int end) {
-    kernel(model).add_force(elements, begin, end, model.block_gradients.data(), x.data(), out.data());
-  });
+  accumulate(model, partition, 1, out.data(),
+             [&](const kernels::Elements& elements, int begin, int end, double* shares) {
+               kernel(model).add_force(elements, begin, end, model.block_gradients.data(), x.data(), shares);
+             });
 }
 
 double greenEnergy(const Model& model, const NodalField& x)
 {
-  const kernels::Elements elements{
-      model.nodes_per_tet, 1, model.block_nodes.data(), nullptr, model.block_coefficients.data(), nullptr};
+  const kernels::Elements elements{model.nodes_per_tet, 1, model.block_nodes.data(), model.block_coefficients.data(),
+                                   nullptr};
   return kernel(model).energy(elements, 0, model.num_blocks, model.block_gradients.data(), x.data());
 }
 
@@ -42,7 +43,7 @@ void linearise(const Model& model, const Partition& partition, const NodalField&
                GreenTangent& tangent)
 {
   forEachThread(partition, [&](int t) {
-    kernel(model).linearise(elementsOf(model, partition, 1), partition.blockBegin(t), partition.blockEnd(t),
+    kernel(model).linearise(elementsOf(model, 1), partition.blockBegin(t), partition.blockEnd(t),
                             model.block_gradients.data(), x.data(), projection == Projection::POSITIVE_STRESS,
                             tangent.blocks.data());
   });
@@ -51,20 +52,21 @@ void linearise(const Model& model, const Partition& partition, const NodalField&
 void systemProduct(const Model& model, const Partition& partition, const GreenTangent& tangent, double alpha,
                    double beta, const NodalField& u, NodalField& out)
 {
-  accumulate(model, partition, 1, out.data(), 4, [&](const kernels::Elements& elements, int begin, int end) {
-    kernel(model).add_product(elements, begin, end, model.block_gradients.data(), tangent.blocks.data(), alpha, beta,
-                              u.data(), out.data());
-  });
+  accumulate(model, partition, 1, out.data(),
+             [&](const kernels::Elements& elements, int begin, int end, double* shares) {
+               kernel(model).add_product(elements, begin, end, model.block_gradients.data(), tangent.blocks.data(),
+                                         alpha, beta, u.data(), shares);
+             });
 }
 
 void systemDiagonal(const Model& model, const Partition& partition, const GreenTangent& tangent, double alpha,
                     double beta, AlignedVector<double>& blocks)
 {
-  accumulate(model, partition, 1, blocks.data(), kernels::DIAGONAL_STRIDE,
-             [&](const kernels::Elements& elements, int begin, int end) {
-               kernel(model).add_diagonal(elements, begin, end, model.block_gradients.data(), tangent.blocks.data(),
-                                          alpha, beta, blocks.data());
-             });
+  accumulateDiagonal(model, partition, 1, blocks.data(),
+                     [&](const kernels::Elements& elements, int begin, int end, double* shares) {
+                       kernel(model).add_diagonal(elements, begin, end, model.block_gradients.data(),
+                                                  tangent.blocks.data(), alpha, beta, shares);
+                     });
 }
 
 Stress greenStressAt(const Model& model, const NodalField& x, const MaterialPoint& point)

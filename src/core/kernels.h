@@ -12,8 +12,31 @@
  */
 namespace bezier_fem::kernels
 {
-constexpr int LANES = 8;
-/** Doubles a node that addDiagonal() fills: a symmetric 3x3 matrix, then two that stay zero. */
+constexpr int LANES = 16;
+
+/**
+ * What an element adds to a node is its share, stored first and summed up node by node later: so elements need not take
+ * turns where they meet, and sums do not depend on who works on them. A row of shares is that of one node of LANES
+ * elements, four numbers each, in the order that makes whole registers of what comes out of a transpose. The first
+ * ZERO_ROWS are of zeros; element kernels are given the row after them, of diagonals twice as far on.
+ */
+constexpr long SHARES = 4L * LANES;
+constexpr int ZERO_ROWS = 2;
+constexpr int slotOf(int lane)
+{
+  return lane % 4 * 4 + lane / 4;
+}
+
+/** Nodes whose shares are summed up side by side. */
+constexpr int NODE_GROUP = 4;
+
+/** Where the shares of each node are. */
+struct NodeShares
+{
+  const int* begin;  // of each group of nodes, then an end: steps in `slots`
+  const int* slots;  // [step][NODE_GROUP]: LANES * row + slotOf(lane); 0, a row of zeros, where another node has more
+};
+/** Doubles a node of a diagonal block: xx, yy, zz, 0, xy, xz, yz, 0. */
 constexpr int DIAGONAL_STRIDE = 8;
 /** Doubles a node of an inverted diagonal block: three columns of x, y, z, 0. */
 constexpr int INVERSE_STRIDE = 12;
@@ -28,10 +51,25 @@ struct Elements
   int nodes_per_tet;           // 4 or 10
   int points;                  // rotations an element: 1, or 4 of a quadratic one
   const int* gather;           // [block][node][LANES]: where a node's value is read
-  const int* scatter;          // the same shape: where it is added
   const double* coefficients;  // [block][3][LANES]: V lambda_L, V mu, V rho
   const double* mean;          // [block][LANES]: V times the part of lambda_L that acts on the mean dilatation, or null
 };
+
+/**
+ * Quadratic elements of one rotation each, in single precision: alpha M + beta K' as a preconditioner sees it. Corners
+ * have fields of their own, x, y, z, 0 a vertex.
+ */
+struct SingleElements
+{
+  const int* gather;          // [block][10][LANES]
+  const int* corner_gather;   // [block][4][LANES]
+  const float* rotated;       // [block][9][LANES]
+  const float* coefficients;  // [block][3][LANES]: beta V lambda_L, beta V mu, alpha V rho
+  const float* mean;          // [block][LANES]: beta times Elements::mean, or null
+};
+
+/** Nodes whose inverted diagonal blocks lie side by side in single precision: three columns of x, y, z, 0 of each. */
+constexpr int INVERSE_GROUP = NODE_GROUP;
 
 /**
  * Where the 3x3 blocks of an assembled matrix are, row by row, columns sorted. A block is 9 doubles, by columns; there
@@ -129,17 +167,15 @@ constexpr int LINEAR_TANGENT = 15, QUADRATIC_TANGENT = 96;
 struct GreenTable
 {
   double (*energy)(const Elements& elements, int begin, int end, const double* rest, const double* x);
-  /** y += force */
-  void (*add_force)(const Elements& elements, int begin, int end, const double* rest, const double* x, double* y);
+  // Shares of what the namesakes in Table have them of
+  void (*add_force)(const Elements& elements, int begin, int end, const double* rest, const double* x, double* shares);
   /** @param projected  without the negative eigenvalues of S */
   void (*linearise)(const Elements& elements, int begin, int end, const double* rest, const double* x, bool projected,
                     double* tangent);
-  /** y += (alpha M + beta K_T) u */
   void (*add_product)(const Elements& elements, int begin, int end, const double* rest, const double* tangent,
-                      double alpha, double beta, const double* u, double* y);
-  /** Adds the 3x3 diagonal blocks of alpha M + beta K_T to d, DIAGONAL_STRIDE doubles a node. */
+                      double alpha, double beta, const double* u, double* shares);
   void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rest, const double* tangent,
-                       double alpha, double beta, double* d);
+                       double alpha, double beta, double* shares);
 };
 
 struct Table
@@ -159,16 +195,17 @@ struct Table
                            const double* x, const double* before, double* after, double* rotated, double* turned,
                            unsigned char* flags);
 
-  /** y += (alpha M + beta K') u over blocks [begin, end). */
+  /** Shares, [block][node] rows, of (alpha M + beta K') u over blocks [begin, end). */
   void (*add_product)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
-                      const double* u, double* y);
+                      const double* u, double* shares);
 
-  /** y += elastic force of the positions x (METHOD: f_el = K' x - f_0), over blocks [begin, end). */
-  void (*add_force)(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y);
+  /** The same of the elastic force f_el = K' x - f_0 of the positions x. */
+  void (*add_force)(const Elements& elements, int begin, int end, const double* rotated, const double* x,
+                    double* shares);
 
-  /** Adds the 3x3 diagonal blocks of alpha M + beta K' to d, DIAGONAL_STRIDE doubles a node. */
+  /** The same of the 3x3 diagonal blocks of alpha M + beta K', two rows a node: xx, yy, zz and xy, xz, yz. */
   void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
-                       double* d);
+                       double* shares);
 
   /**
    * Element matrices of alpha M + beta K': [element][stride], upper triangles of blocks of 9 doubles, by columns
@@ -204,15 +241,38 @@ struct Table
   void (*block_product)(const BlockRows& rows, int begin, int end, const double* blocks, const double* x, double* y);
 
   // Vector operations over nodes [begin, end).
+  /** Sums of the shares, and u . sum where u is not null; begin is the first node of a group. */
+  double (*sum_shares)(const NodeShares& lists, int begin, int end, const double* shares, const double* u, double* out);
+  /** The same of add_diagonal(), to DIAGONAL_STRIDE doubles a node. */
+  void (*sum_diagonals)(const NodeShares& lists, int begin, int end, const double* shares, double* out);
   double (*dot)(int begin, int end, const double* a, const double* b);
   /** x += a p, r -= a q, z = B^-1 r; returns r.z. */
   double (*advance)(int begin, int end, double a, const double* p, const double* q, const double* inverse, double* x,
                     double* r, double* z);
-  /** r -= q (or, where q is null, r as it is), d = keep d + gain B^-1 r, z += d. */
-  void (*chebyshev)(int begin, int end, double keep, double gain, const double* q, const double* inverse, double* r,
-                    double* d, double* z);
   /** p = z + b p */
   void (*redirect)(int begin, int end, double b, const double* z, double* p);
+
+  // In single precision, for preconditioners; nodes in whole groups of INVERSE_GROUP.
+  /** Shares of (alpha M + beta K') u over blocks [begin, end). */
+  void (*single_product)(const SingleElements& elements, int begin, int end, const float* u, float* shares);
+  /** Shares of (alpha M + beta K') P c of linear elements' values c. */
+  void (*prolonged_product)(const SingleElements& elements, int begin, int end, const float* c, float* shares);
+  /** q = sum of the shares; returns p . q */
+  double (*single_sum)(const NodeShares& lists, int begin, int end, const float* shares, const float* p, float* q);
+  /** x += a p, r -= a q, s = r, d = z = gain B^-1 r; returns r . B^-1 r. */
+  double (*single_advance)(int begin, int end, float a, float gain, const float* p, const float* q,
+                           const float* inverse, float* x, float* r, float* s, float* d, float* z);
+  double (*single_dot)(int begin, int end, const float* a, const float* b);
+  /** p = z + b p */
+  void (*single_redirect)(int begin, int end, float b, const float* z, float* p);
+  /** r -= the sum of the shares */
+  void (*subtract_shares)(const NodeShares& lists, int begin, int end, const float* shares, float* r);
+  /** That, then d = keep d + gain B^-1 r, z += d. */
+  void (*single_chebyshev)(const NodeShares& lists, int begin, int end, float keep, float gain, const float* shares,
+                           const float* inverse, float* r, float* d, float* z);
+  /** y = L x and y = L^T x of a panel L by columns, its rows a multiple of LANES. */
+  void (*panel_product)(int rows, int columns, const float* panel, const float* x, float* y);
+  void (*panel_transpose_product)(int rows, int columns, const float* panel, const float* x, float* y);
 
   GreenTable green_linear, green_quadratic;
 };

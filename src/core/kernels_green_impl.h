@@ -164,7 +164,7 @@ inline void stressIntegrals(const Mat* f, Vec lambda, Vec mu, Sym* t)
 }
 
 template <int NODES>
-void addGreenForce(const Elements& elements, int begin, int end, const double* rest, const double* x, double* y)
+void addGreenForce(const Elements& elements, int begin, int end, const double* rest, const double* x, double* shares)
 {
   constexpr int CORNERS = Green<NODES>::GRADIENTS;
   forEachRegister<NODES>(begin, end, [&](long at, long block, int part) {
@@ -182,7 +182,7 @@ void addGreenForce(const Elements& elements, int begin, int end, const double* r
       for (int b = 0; b < CORNERS; ++b) addTimes(q[a], f[b], t[POINT[a][b]]);
     }
     nodalForces<NODES>(g, q, out);
-    for (int k = 0; k < NODES; ++k) scatterAdd(y, elements.scatter + at + static_cast<long>(k) * LANES, out[k]);
+    for (int k = 0; k < NODES; ++k) storeShares(shares + SHARES * (NODES * block + k), part, out[k]);
   });
 }
 
@@ -399,7 +399,7 @@ inline void loadTangent(const double* from, Mat* f, Sym* t)
 
 template <int NODES>
 void addGreenProduct(const Elements& elements, int begin, int end, const double* rest, const double* tangent,
-                     double alpha, double beta, const double* u, double* y)
+                     double alpha, double beta, const double* u, double* shares)
 {
   using G = Green<NODES>;
   forEachRegister<NODES>(begin, end, [&](long at, long block, int part) {
@@ -442,7 +442,7 @@ void addGreenProduct(const Elements& elements, int begin, int end, const double*
     }
     nodalForces<NODES>(g, q, out);
     addMass<NODES>(in, alpha * load(c + 2L * LANES), out);
-    for (int k = 0; k < NODES; ++k) scatterAdd(y, elements.scatter + at + static_cast<long>(k) * LANES, out[k]);
+    for (int k = 0; k < NODES; ++k) storeShares(shares + SHARES * (NODES * block + k), part, out[k]);
   });
 }
 
@@ -466,17 +466,17 @@ inline Sym timesTranspose(const Mat& f)
 
 template <int NODES>
 void addGreenDiagonal(const Elements& elements, int begin, int end, const double* rest, const double* tangent,
-                      double alpha, double beta, double* d)
+                      double alpha, double beta, double* shares)
 {
   using G = Green<NODES>;
-  forEachRegister<NODES>(begin, end, [&](long at, long block, int part) {
+  forEachRegister<NODES>(begin, end, [&](long /*at*/, long block, int part) {
     const double* c = elements.coefficients + 3 * block * LANES + part;
     const RotatedGradients g = basisGradients<NODES>(rest + 9 * block * LANES + part);
     const Vec mu = beta * load(c + LANES), sum = beta * load(c) + mu, mass = alpha * load(c + 2L * LANES);
     Mat f[G::GRADIENTS];
     Sym t[G::PAIRS], own[NODES] = {};
     loadTangent<NODES>(tangent + block * G::SIZE * LANES + part, f, t);
-    const int* to = elements.scatter + at;
+    double* rows = shares + 2 * SHARES * NODES * block;
     if constexpr (NODES == 4)
     {
       const Sym fft = timesTranspose(f[0]);
@@ -484,7 +484,7 @@ void addGreenDiagonal(const Elements& elements, int begin, int end, const double
       {
         addOwnBlock(own[a], f[0] * g.r[a], dot(g.r[a], g.r[a]), fft, sum, mu);
         const Vec geometric = beta * dot(g.r[a], t[0] * g.r[a]);
-        scatterDiagonal(d, to + static_cast<long>(a) * LANES, own[a], mass * 0.1 + geometric);
+        storeDiagonal(rows + 2 * SHARES * a, part, own[a], mass * 0.1 + geometric);
       }
     }
     else
@@ -514,12 +514,12 @@ void addGreenDiagonal(const Elements& elements, int begin, int end, const double
       for (int a = 0; a < 4; ++a)
       {
         const Vec corner = beta * dot(g.r[a], t[a] * g.r[a]);
-        scatterDiagonal(d, to + static_cast<long>(a) * LANES, own[a], mass * (1.0 / 35) + corner);
+        storeDiagonal(rows + 2 * SHARES * a, part, own[a], mass * (1.0 / 35) + corner);
         for (int b = a + 1; b < 4; ++b)
         {
           const Vec edge = beta * (dot(g.r[b], t[a] * g.r[b]) + dot(g.r[a], t[b] * g.r[a]) +
                                    2 * dot(g.r[a], t[POINT[a][b]] * g.r[b]));
-          scatterDiagonal(d, to + static_cast<long>(POINT[a][b]) * LANES, own[POINT[a][b]], mass * (2.0 / 105) + edge);
+          storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, own[POINT[a][b]], mass * (2.0 / 105) + edge);
         }
       }
     }

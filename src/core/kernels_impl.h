@@ -1,5 +1,8 @@
 // The kernels of kernels.h for registers of WIDTH doubles. Included by one .cpp an instruction set, which defines
 // WIDTH and TABLE; nothing with external linkage but that table may be defined here.
+#include <type_traits>
+#include <utility>
+
 #include "kernels.h"
 
 namespace bezier_fem::kernels
@@ -10,281 +13,12 @@ namespace
 // time for a product.
 #define ALWAYS_INLINE inline __attribute__((always_inline))
 
-using Vec = double __attribute__((vector_size(sizeof(double) * WIDTH)));
-using Node = double __attribute__((vector_size(sizeof(double) * 4)));
-static_assert(LANES % WIDTH == 0, "a block is a whole number of registers");
+#include "kernels_element_impl.h"
 
-inline Vec load(const double* p)
-{
-  return *reinterpret_cast<const Vec*>(p);
-}
-inline void store(double* p, Vec v)
-{
-  *reinterpret_cast<Vec*>(p) = v;
-}
-inline Node loadNode(const double* base, int node)
-{
-  return *reinterpret_cast<const Node*>(base + 4L * node);
-}
-
-struct Vec3
-{
-  Vec x, y, z;
-};
-inline Vec3 operator+(const Vec3& a, const Vec3& b)
-{
-  return {a.x + b.x, a.y + b.y, a.z + b.z};
-}
-inline Vec3 operator-(const Vec3& a, const Vec3& b)
-{
-  return {a.x - b.x, a.y - b.y, a.z - b.z};
-}
-inline Vec3 operator*(Vec s, const Vec3& a)
-{
-  return {s * a.x, s * a.y, s * a.z};
-}
-
-/** The values of WIDTH nodes, one a lane: a transpose from x, y, z, 0 in memory to three registers. */
-ALWAYS_INLINE Vec3 gather(const double* base, const int* nodes)
-{
-#if WIDTH == 2
-  const Vec a = load(base + 4L * nodes[0]), b = load(base + 4L * nodes[1]);
-  return {__builtin_shufflevector(a, b, 0, 2), __builtin_shufflevector(a, b, 1, 3),
-          Vec{base[4L * nodes[0] + 2], base[4L * nodes[1] + 2]}};
-#else
-  Node x[WIDTH / 4], y[WIDTH / 4], z[WIDTH / 4];
-  for (int k = 0; k < WIDTH / 4; ++k)
-  {
-    const Node a = loadNode(base, nodes[4 * k]), b = loadNode(base, nodes[4 * k + 1]);
-    const Node c = loadNode(base, nodes[4 * k + 2]), d = loadNode(base, nodes[4 * k + 3]);
-    const Node ab_xz = __builtin_shufflevector(a, b, 0, 4, 2, 6), ab_y = __builtin_shufflevector(a, b, 1, 5, 3, 7);
-    const Node cd_xz = __builtin_shufflevector(c, d, 0, 4, 2, 6), cd_y = __builtin_shufflevector(c, d, 1, 5, 3, 7);
-    x[k] = __builtin_shufflevector(ab_xz, cd_xz, 0, 1, 4, 5);
-    y[k] = __builtin_shufflevector(ab_y, cd_y, 0, 1, 4, 5);
-    z[k] = __builtin_shufflevector(ab_xz, cd_xz, 2, 3, 6, 7);
-  }
-#if WIDTH == 4
-  return {x[0], y[0], z[0]};
-#else
-  return {__builtin_shufflevector(x[0], x[1], 0, 1, 2, 3, 4, 5, 6, 7),
-          __builtin_shufflevector(y[0], y[1], 0, 1, 2, 3, 4, 5, 6, 7),
-          __builtin_shufflevector(z[0], z[1], 0, 1, 2, 3, 4, 5, 6, 7)};
-#endif
-#endif
-}
-
-inline void addNode(double* base, int node, Node v)
-{
-  Node* p = reinterpret_cast<Node*>(base + 4L * node);
-  *p += v;
-}
-
-/** The transpose of gather(): lane by lane, because two lanes may add to the same node. */
-ALWAYS_INLINE void scatterAdd(double* base, const int* nodes, const Vec3& v)
-{
-#if WIDTH == 2
-  for (int k = 0; k < 2; ++k)
-  {
-    double* p = base + 4L * nodes[k];
-    p[0] += v.x[k];
-    p[1] += v.y[k];
-    p[2] += v.z[k];
-  }
-#else
-  for (int k = 0; k < WIDTH / 4; ++k)
-  {
-#if WIDTH == 4
-    const Node x = v.x, y = v.y, z = v.z;
-#else
-    const Node x = k ? __builtin_shufflevector(v.x, v.x, 4, 5, 6, 7) : __builtin_shufflevector(v.x, v.x, 0, 1, 2, 3);
-    const Node y = k ? __builtin_shufflevector(v.y, v.y, 4, 5, 6, 7) : __builtin_shufflevector(v.y, v.y, 0, 1, 2, 3);
-    const Node z = k ? __builtin_shufflevector(v.z, v.z, 4, 5, 6, 7) : __builtin_shufflevector(v.z, v.z, 0, 1, 2, 3);
-#endif
-    const Node zero = {0, 0, 0, 0};
-    const Node xy_02 = __builtin_shufflevector(x, y, 0, 4, 2, 6), xy_13 = __builtin_shufflevector(x, y, 1, 5, 3, 7);
-    const Node z_02 = __builtin_shufflevector(z, zero, 0, 4, 2, 6), z_13 = __builtin_shufflevector(z, zero, 1, 5, 3, 7);
-    addNode(base, nodes[4 * k], __builtin_shufflevector(xy_02, z_02, 0, 1, 4, 5));
-    addNode(base, nodes[4 * k + 1], __builtin_shufflevector(xy_13, z_13, 0, 1, 4, 5));
-    addNode(base, nodes[4 * k + 2], __builtin_shufflevector(xy_02, z_02, 2, 3, 6, 7));
-    addNode(base, nodes[4 * k + 3], __builtin_shufflevector(xy_13, z_13, 2, 3, 6, 7));
-  }
-#endif
-}
-
-/** Symmetric 3x3 matrix, one a lane. */
-struct Sym
-{
-  Vec xx, xy, xz, yy, yz, zz;
-};
-inline Sym operator+(const Sym& a, const Sym& b)
-{
-  return {a.xx + b.xx, a.xy + b.xy, a.xz + b.xz, a.yy + b.yy, a.yz + b.yz, a.zz + b.zz};
-}
-inline Vec3 operator*(const Sym& m, const Vec3& v)
-{
-  return {m.xx * v.x + m.xy * v.y + m.xz * v.z, m.xy * v.x + m.yy * v.y + m.yz * v.z,
-          m.xz * v.x + m.yz * v.y + m.zz * v.z};
-}
-
-struct RotatedGradients
-{
-  Vec3 r[4];
-};
-
-ALWAYS_INLINE RotatedGradients loadGradients(const double* p)
-{
-  RotatedGradients g;
-  for (int a = 0; a < 3; ++a)
-  {
-    g.r[a + 1] = {load(p + (3L * a) * LANES), load(p + (3L * a + 1) * LANES), load(p + (3L * a + 2) * LANES)};
-  }
-  const Vec3 sum = g.r[1] + g.r[2] + g.r[3];
-  g.r[0] = {-sum.x, -sum.y, -sum.z};
-  return g;
-}
-
-/**
- * Stress of the strain sym(sum_d u_d r_d^T) - identity, u_d measured from u_0, which sum_d r_d = 0 allows and which
- * keeps a body far from the origin exact. Adds the strain's trace to `dilatation`.
- */
-ALWAYS_INLINE Sym stress(const RotatedGradients& g, const Vec3& u1, const Vec3& u2, const Vec3& u3, double identity,
-                         Vec lambda, Vec mu, Vec& dilatation)
-{
-  const Vec3 &a = g.r[1], &b = g.r[2], &c = g.r[3];
-  const Vec exx = u1.x * a.x + u2.x * b.x + u3.x * c.x - identity;
-  const Vec eyy = u1.y * a.y + u2.y * b.y + u3.y * c.y - identity;
-  const Vec ezz = u1.z * a.z + u2.z * b.z + u3.z * c.z - identity;
-  const Vec exy = u1.x * a.y + u2.x * b.y + u3.x * c.y + u1.y * a.x + u2.y * b.x + u3.y * c.x;
-  const Vec exz = u1.x * a.z + u2.x * b.z + u3.x * c.z + u1.z * a.x + u2.z * b.x + u3.z * c.x;
-  const Vec eyz = u1.y * a.z + u2.y * b.z + u3.y * c.z + u1.z * a.y + u2.z * b.y + u3.z * c.y;
-  const Vec trace = exx + eyy + ezz, pressure = lambda * trace, two_mu = mu + mu;
-  dilatation += trace;
-  return {pressure + two_mu * exx, mu * exy, mu * exz, pressure + two_mu * eyy, mu * eyz, pressure + two_mu * ezz};
-}
-
-inline void addPressure(Sym& s, Vec pressure)
-{
-  s.xx += pressure;
-  s.yy += pressure;
-  s.zz += pressure;
-}
-
-/** Local control point (a,b); bernstein.h has the same table for the rest of the library. */
-constexpr int POINT[4][4] = {{0, 4, 5, 6}, {4, 1, 7, 8}, {5, 7, 2, 9}, {6, 8, 9, 3}};
-
-/** The sum of the points (c,d) over c. */
-inline Vec3 columnSum(const Vec3* u, int d)
-{
-  return u[POINT[0][d]] + u[POINT[1][d]] + u[POINT[2][d]] + u[POINT[3][d]];
-}
-
-/**
- * f = K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V. The part `mean`
- * of lambda acts on the element's mean dilatation, the rest at every point.
- * @param rotated  rotated gradients, POINTS times 9 rows of LANES
- */
-template <int NODES, int POINTS, bool MEAN>
-inline void elasticForce(const double* rotated, const Vec3* u, double identity, Vec lambda, Vec mu, Vec mean, Vec3* f)
-{
-  Vec dilatation = Vec{};
-  if constexpr (MEAN) lambda -= mean;
-  if constexpr (NODES == 4)
-  {
-    const RotatedGradients g = loadGradients(rotated);
-    const Sym s = stress(g, u[1] - u[0], u[2] - u[0], u[3] - u[0], identity, lambda, mu, dilatation);
-    for (int a = 0; a < 4; ++a) f[a] = s * g.r[a];
-  }
-  else if constexpr (POINTS == 1)
-  {
-    // F_c = 2 sum_d x_cd g_d^T; Q_a = V/20 (s_a + sum_c s_c); the factors 2 of F_c and of f are put together: stress()
-    // works on half the strain, with half the identity, and 2 * 2 / 20 = 1/5 goes to lambda and mu.
-    const RotatedGradients g = loadGradients(rotated);
-    lambda = lambda * 0.2;
-    mu = mu * 0.2;
-    Sym q[4];
-    for (int c = 0; c < 4; ++c)
-    {
-      const Vec3& origin = u[POINT[c][0]];
-      q[c] = stress(g, u[POINT[c][1]] - origin, u[POINT[c][2]] - origin, u[POINT[c][3]] - origin, 0.5 * identity,
-                    lambda, mu, dilatation);
-    }
-    Sym sum = q[0] + q[1] + q[2] + q[3];
-    // A constant pressure p gives 2 Q_a = V p/2, and p is `mean` times a quarter of the sum of the dilatations, of
-    // which half is here.
-    if constexpr (MEAN) addPressure(sum, 0.25 * mean * dilatation);
-    for (int c = 0; c < 4; ++c) q[c] = q[c] + sum;
-    for (int a = 0; a < 4; ++a)
-    {
-      f[a] = q[a] * g.r[a];
-      for (int b = a + 1; b < 4; ++b) f[POINT[a][b]] = q[a] * g.r[b] + q[b] * g.r[a];
-    }
-  }
-  else
-  {
-    // At point q, F = 2 sum_d z_d g_d^T with z_d = sum_c lambda_c x_cd, and with t_d = s R g_d a quarter of V times
-    // 2 (lambda_a t_b + lambda_b t_a) goes to f_ab. Again half the strain; 2 * 2 / 4 = 1.
-    const Vec far = Vec{} + FAR, above = Vec{} + (NEAR - FAR);
-    Vec3 sum[4], t[4][4], total[4] = {};
-    Sym s[4];
-    for (int d = 0; d < 4; ++d) sum[d] = far * columnSum(u, d);
-    for (int q = 0; q < 4; ++q)
-    {
-      const RotatedGradients g = loadGradients(rotated + 9L * q * LANES);
-      Vec3 z[4];
-      for (int d = 0; d < 4; ++d) z[d] = sum[d] + above * u[POINT[q][d]];
-      s[q] = stress(g, z[1] - z[0], z[2] - z[0], z[3] - z[0], 0.5 * identity, lambda, mu, dilatation);
-    }
-    for (int q = 0; q < 4; ++q)
-    {
-      const RotatedGradients g = loadGradients(rotated + 9L * q * LANES);
-      if constexpr (MEAN) addPressure(s[q], 0.25 * mean * dilatation);
-      for (int d = 0; d < 4; ++d)
-      {
-        t[q][d] = s[q] * g.r[d];
-        total[d] = total[d] + t[q][d];
-        t[q][d] = above * t[q][d];
-      }
-    }
-    for (int d = 0; d < 4; ++d) total[d] = far * total[d];
-    for (int a = 0; a < 4; ++a)
-    {
-      f[a] = t[a][a] + total[a];
-      for (int b = a + 1; b < 4; ++b) f[POINT[a][b]] = t[a][b] + t[b][a] + total[a] + total[b];
-    }
-  }
-}
-
-/** f += m M u / (rho V), with the exact integrals of products of basis functions; mass is m rho V. */
-template <int NODES>
-ALWAYS_INLINE void addMass(const Vec3* u, Vec mass, Vec3* f)
-{
-  if constexpr (NODES == 4)
-  {
-    const Vec scale = mass * (1.0 / 20);
-    const Vec3 sum = u[0] + u[1] + u[2] + u[3];
-    for (int a = 0; a < 4; ++a) f[a] = f[a] + scale * (sum + u[a]);
-  }
-  else
-  {
-    const Vec scale = mass * (1.0 / 210);
-    Vec3 t[4];
-    for (int a = 0; a < 4; ++a)
-    {
-      t[a] = u[a] + u[POINT[a][0]] + u[POINT[a][1]] + u[POINT[a][2]] + u[POINT[a][3]];
-    }
-    const Vec half = Vec{} + 0.5;
-    const Vec3 sum = half * (t[0] + t[1] + t[2] + t[3]);
-    for (int a = 0; a < 4; ++a)
-    {
-      for (int b = a; b < 4; ++b) f[POINT[a][b]] = f[POINT[a][b]] + scale * (sum + t[a] + t[b] + u[POINT[a][b]]);
-    }
-  }
-}
-
-/** Gathers an element's nodes, makes `out` from `in`, and scatters it. */
+/** Gathers an element's nodes, makes `out` from `in`, and stores it. */
 template <int NODES, bool MEAN, class Element>
 inline void forEachElement(const Elements& elements, int begin, int end, const double* rotated, const double* x,
-                           double* y, const Element& element)
+                           double* shares, const Element& element)
 {
   for (int block = begin; block < end; ++block)
   {
@@ -298,16 +32,16 @@ inline void forEachElement(const Elements& elements, int begin, int end, const d
       for (int k = 0; k < NODES; ++k) in[k] = gather(x, elements.gather + at + static_cast<long>(k) * LANES);
       element(rotated + static_cast<long>(block) * elements.points * 9 * LANES + part, in, load(c), load(c + LANES),
               load(c + 2L * LANES), mean, out);
-      for (int k = 0; k < NODES; ++k) scatterAdd(y, elements.scatter + at + static_cast<long>(k) * LANES, out[k]);
+      for (int k = 0; k < NODES; ++k) storeShares(shares + SHARES * block * NODES + SHARES * k, part, out[k]);
     }
   }
 }
 
 template <int NODES, int POINTS, bool MEAN>
 void addProduct(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
-                const double* u, double* y)
+                const double* u, double* shares)
 {
-  forEachElement<NODES, MEAN>(elements, begin, end, rotated, u, y,
+  forEachElement<NODES, MEAN>(elements, begin, end, rotated, u, shares,
                               [&](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec mass, Vec mean, Vec3* out) {
                                 elasticForce<NODES, POINTS, MEAN>(g, in, 0, beta * lambda, beta * mu, beta * mean, out);
                                 addMass<NODES>(in, alpha * mass, out);
@@ -315,9 +49,9 @@ void addProduct(const Elements& elements, int begin, int end, const double* rota
 }
 
 template <int NODES, int POINTS, bool MEAN>
-void addForce(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y)
+void addForce(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* shares)
 {
-  forEachElement<NODES, MEAN>(elements, begin, end, rotated, x, y,
+  forEachElement<NODES, MEAN>(elements, begin, end, rotated, x, shares,
                               [](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean,
                                  Vec3* out) { elasticForce<NODES, POINTS, MEAN>(g, in, 1, lambda, mu, mean, out); });
 }
@@ -331,21 +65,11 @@ inline Sym symmetricH(const Vec3& c, const Vec3& d, Vec lambda, Vec mu)
           (sum + sum) * c.y * d.y + dot, sum * (c.y * d.z + c.z * d.y), (sum + sum) * c.z * d.z + dot};
 }
 
-ALWAYS_INLINE void scatterDiagonal(double* d, const int* nodes, Sym s, Vec mass)
+/** @param row  of the node's two rows of shares the first */
+ALWAYS_INLINE void storeDiagonal(double* row, int part, const Sym& s, Vec mass)
 {
-  s.xx += mass;
-  s.yy += mass;
-  s.zz += mass;
-  for (int k = 0; k < WIDTH; ++k)
-  {
-    double* p = d + static_cast<long>(DIAGONAL_STRIDE) * nodes[k];
-    p[0] += s.xx[k];
-    p[1] += s.xy[k];
-    p[2] += s.xz[k];
-    p[3] += s.yy[k];
-    p[4] += s.yz[k];
-    p[5] += s.zz[k];
-  }
+  storeShares(row, part, {s.xx + mass, s.yy + mass, s.zz + mass});
+  storeShares(row + SHARES, part, {s.xy, s.xz, s.yz});
 }
 
 inline Sym operator*(Vec s, const Sym& m)
@@ -361,7 +85,7 @@ inline Sym square(Vec s, const Vec3& v)
 }
 
 template <bool MEAN>
-inline void addDiagonalOfFour(double* d, const int* to, const double* rotated, Vec lambda, Vec mu, Vec mean, Vec mass)
+inline void addDiagonalOfFour(double* rows, int part, const double* rotated, Vec lambda, Vec mu, Vec mean, Vec mass)
 {
   RotatedGradients g[4];
   for (int q = 0; q < 4; ++q) g[q] = loadGradients(rotated + 9L * q * LANES);
@@ -381,21 +105,20 @@ inline void addDiagonalOfFour(double* d, const int* to, const double* rotated, V
         if constexpr (MEAN) total = total + h;
       }
       if constexpr (MEAN) sum = sum + square(half * mean, total);
-      scatterDiagonal(d, to + static_cast<long>(POINT[a][b]) * LANES, half * sum,
-                      mass * (a == b ? 1.0 / 35 : 2.0 / 105));
+      storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, half * sum, mass * (a == b ? 1.0 / 35 : 2.0 / 105));
     }
   }
 }
 
 template <int NODES, int POINTS, bool MEAN>
 void addDiagonal(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
-                 double* d)
+                 double* shares)
 {
   for (int block = begin; block < end; ++block)
   {
     for (int part = 0; part < LANES; part += WIDTH)
     {
-      const int* to = elements.scatter + static_cast<long>(block) * NODES * LANES + part;
+      double* rows = shares + 2 * SHARES * NODES * block;
       const double* c = elements.coefficients + 3L * block * LANES + part;
       Vec lambda = beta * load(c), mean = Vec{};
       const Vec mu = beta * load(c + LANES), mass = alpha * load(c + 2L * LANES);
@@ -407,7 +130,7 @@ void addDiagonal(const Elements& elements, int begin, int end, const double* rot
       const double* own = rotated + static_cast<long>(block) * POINTS * 9 * LANES + part;
       if constexpr (POINTS == 4)
       {
-        addDiagonalOfFour<MEAN>(d, to, own, lambda, mu, mean, mass);
+        addDiagonalOfFour<MEAN>(rows, part, own, lambda, mu, mean, mass);
         continue;
       }
       const RotatedGradients g = loadGradients(own);
@@ -416,7 +139,7 @@ void addDiagonal(const Elements& elements, int begin, int end, const double* rot
       if constexpr (NODES == 4)
       {
         const Vec half = Vec{} + 0.5;
-        for (int a = 0; a < 4; ++a) scatterDiagonal(d, to + static_cast<long>(a) * LANES, half * h[a], mass * 0.1);
+        for (int a = 0; a < 4; ++a) storeDiagonal(rows + 2 * SHARES * a, part, half * h[a], mass * 0.1);
       }
       else
       {
@@ -427,12 +150,12 @@ void addDiagonal(const Elements& elements, int begin, int end, const double* rot
         {
           Sym corner = fifth * h[a];
           if constexpr (MEAN) corner = corner + square(quarter_mean, g.r[a]);
-          scatterDiagonal(d, to + static_cast<long>(a) * LANES, corner, mass * (1.0 / 35));
+          storeDiagonal(rows + 2 * SHARES * a, part, corner, mass * (1.0 / 35));
           for (int b = a + 1; b < 4; ++b)
           {
             Sym edge = fifth * (h[a] + h[b] + symmetricH(g.r[a], g.r[b], lambda, mu));
             if constexpr (MEAN) edge = edge + square(quarter_mean, g.r[a] + g.r[b]);
-            scatterDiagonal(d, to + static_cast<long>(POINT[a][b]) * LANES, edge, mass * (2.0 / 105));
+            storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, edge, mass * (2.0 / 105));
           }
         }
       }
@@ -630,6 +353,60 @@ void updateRotations(const Elements& elements, int begin, int end, const double*
   }
 }
 
+/** Calls f(node, sum of its shares) for the nodes [begin, end), begin the first of a group. */
+template <class N, class Scalar, class F>
+ALWAYS_INLINE void forEachSum(const NodeShares& lists, int begin, int end, const Scalar* shares, const F& f)
+{
+  for (int i = begin; i < end; i += NODE_GROUP)
+  {
+    N sum[NODE_GROUP] = {};
+    const int* last = lists.slots + NODE_GROUP * static_cast<long>(lists.begin[i / NODE_GROUP + 1]);
+    for (const int* slot = lists.slots + NODE_GROUP * static_cast<long>(lists.begin[i / NODE_GROUP]); slot < last;
+         slot += NODE_GROUP)
+    {
+      for (int k = 0; k < NODE_GROUP; ++k) sum[k] += loadNode(shares, slot[k]);
+    }
+    f(i, sum);
+  }
+}
+
+double sumShares(const NodeShares& lists, int begin, int end, const double* shares, const double* u, double* out)
+{
+  Node work[NODE_GROUP] = {};
+  forEachSum<Node>(lists, begin, end, shares, [&](int i, const Node* sum) {
+    const int count = end - i < NODE_GROUP ? end - i : NODE_GROUP;
+    for (int k = 0; k < count; ++k) *reinterpret_cast<Node*>(out + 4L * (i + k)) = sum[k];
+    for (int k = 0; k < count && u; ++k) work[k] += sum[k] * loadNode(u, i + k);
+  });
+  const Node total = (work[0] + work[1]) + (work[2] + work[3]);
+  return (total[0] + total[1]) + (total[2] + total[3]);
+}
+
+void sumDiagonals(const NodeShares& lists, int begin, int end, const double* shares, double* out)
+{
+  for (int i = begin; i < end; i += NODE_GROUP)
+  {
+    Node sum[NODE_GROUP][2] = {};
+    for (long step = lists.begin[i / NODE_GROUP]; step < lists.begin[i / NODE_GROUP + 1]; ++step)
+    {
+      for (int k = 0; k < NODE_GROUP; ++k)
+      {
+        // A node has two rows of shares, one after the other.
+        const int slot = lists.slots[NODE_GROUP * step + k], row = slot / LANES;
+        const double* from = shares + 2 * SHARES * row + 4L * (slot % LANES);
+        sum[k][0] += *reinterpret_cast<const Node*>(from);
+        sum[k][1] += *reinterpret_cast<const Node*>(from + SHARES);
+      }
+    }
+    for (int k = 0; k < NODE_GROUP && i + k < end; ++k)
+    {
+      double* to = out + static_cast<long>(DIAGONAL_STRIDE) * (i + k);
+      *reinterpret_cast<Node*>(to) = sum[k][0];
+      *reinterpret_cast<Node*>(to + 4) = sum[k][1];
+    }
+  }
+}
+
 double dot(int begin, int end, const double* a, const double* b)
 {
   Node sum = {0, 0, 0, 0}, other = {0, 0, 0, 0};
@@ -661,39 +438,13 @@ double advance(int begin, int end, double a, const double* p, const double* q, c
   return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-template <bool SUBTRACT>
-void chebyshevTerm(int begin, int end, double keep, double gain, const double* q, const double* inverse, double* r,
-                   double* d, double* z)
-{
-  for (int i = begin; i < end; ++i)
-  {
-    Node res = loadNode(r, i);
-    if constexpr (SUBTRACT)
-    {
-      res -= loadNode(q, i);
-      *reinterpret_cast<Node*>(r + 4L * i) = res;
-    }
-    const double* columns = inverse + static_cast<long>(INVERSE_STRIDE) * i;
-    const Node pre = res[0] * loadNode(columns, 0) + res[1] * loadNode(columns, 1) + res[2] * loadNode(columns, 2);
-    // Where nothing is kept, d may be anything.
-    const Node direction = keep != 0 ? keep * loadNode(d, i) + gain * pre : gain * pre;
-    *reinterpret_cast<Node*>(d + 4L * i) = direction;
-    *reinterpret_cast<Node*>(z + 4L * i) += direction;
-  }
-}
-
-void chebyshev(int begin, int end, double keep, double gain, const double* q, const double* inverse, double* r,
-               double* d, double* z)
-{
-  (q ? chebyshevTerm<true> : chebyshevTerm<false>)(begin, end, keep, gain, q, inverse, r, d, z);
-}
-
 void redirect(int begin, int end, double b, const double* z, double* p)
 {
   for (int i = begin; i < end; ++i) *reinterpret_cast<Node*>(p + 4L * i) = loadNode(z, i) + b * loadNode(p, i);
 }
 
 #include "kernels_green_impl.h"
+#include "kernels_single_impl.h"
 
 void updateRotationsAny(const Elements& elements, Gradient gradient, int begin, int end, const double* gradients,
                         const double* x, const double* before, double* after, double* rotated, double* turned,
@@ -706,29 +457,29 @@ void updateRotationsAny(const Elements& elements, Gradient gradient, int begin, 
 }
 
 void addProductAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
-                   const double* u, double* y)
+                   const double* u, double* shares)
 {
   const auto one = elements.mean ? addProduct<10, 1, true> : addProduct<10, 1, false>;
   const auto four = elements.mean ? addProduct<10, 4, true> : addProduct<10, 4, false>;
   const auto add = elements.nodes_per_tet == 4 ? addProduct<4, 1, false> : elements.points == 1 ? one : four;
-  add(elements, begin, end, rotated, alpha, beta, u, y);
+  add(elements, begin, end, rotated, alpha, beta, u, shares);
 }
 
-void addForceAny(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* y)
+void addForceAny(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* shares)
 {
   const auto one = elements.mean ? addForce<10, 1, true> : addForce<10, 1, false>;
   const auto four = elements.mean ? addForce<10, 4, true> : addForce<10, 4, false>;
   const auto add = elements.nodes_per_tet == 4 ? addForce<4, 1, false> : elements.points == 1 ? one : four;
-  add(elements, begin, end, rotated, x, y);
+  add(elements, begin, end, rotated, x, shares);
 }
 
 void addDiagonalAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
-                    double* d)
+                    double* shares)
 {
   const auto one = elements.mean ? addDiagonal<10, 1, true> : addDiagonal<10, 1, false>;
   const auto four = elements.mean ? addDiagonal<10, 4, true> : addDiagonal<10, 4, false>;
   const auto add = elements.nodes_per_tet == 4 ? addDiagonal<4, 1, false> : elements.points == 1 ? one : four;
-  add(elements, begin, end, rotated, alpha, beta, d);
+  add(elements, begin, end, rotated, alpha, beta, shares);
 }
 }  // namespace
 }  // namespace bezier_fem::kernels
@@ -752,13 +503,26 @@ const Table TABLE = {
     gradientProductsAny,
     fuseBlocksAny,
     blockProduct,
+    sumShares,
+    sumDiagonals,
     dot,
     advance,
-    chebyshev,
     redirect,
+    singleProductAny,
+    prolongedProduct,
+    singleSum,
+    singleAdvance,
+    singleDot,
+    singleRedirect,
+    subtractShares,
+    singleChebyshev,
+    panelProduct,
+    panelTransposeProduct,
     {greenEnergy<4>, addGreenForce<4>, lineariseGreen<4>, addGreenProduct<4>, addGreenDiagonal<4>},
     {greenEnergy<10>, addGreenForce<10>, lineariseGreen<10>, addGreenProduct<10>, addGreenDiagonal<10>}};
 
 }  // namespace bezier_fem::kernels
 
 #undef ALWAYS_INLINE
+#undef BY_FOURS
+#undef UP

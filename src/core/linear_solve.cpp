@@ -40,8 +40,7 @@ void solveLinear(const Model& model, const StepSettings& settings, const Support
   if (multigrid)
   {
     if (!w.multigrid) w.multigrid = std::make_unique<PMultigrid>(model, w.partition);
-    w.multigrid_failed =
-        !w.multigrid->prepare(system, model, rotations, supports.held, alpha, beta, w.solver.inverse());
+    w.multigrid_failed = !w.multigrid->prepare(model, rotations, supports.held, alpha, beta, w.solver.inverse());
     solve(w.multigrid_failed ? nullptr : w.multigrid.get(), max_iterations - iterations);
     report.multigrid = !w.multigrid_failed;
     w.multigrid->took(solved.iterations);

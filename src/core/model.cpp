@@ -7,6 +7,8 @@
 #include <numeric>
 #include <unordered_map>
 
+#include "kernels.h"
+
 namespace bezier_fem
 {
 namespace
@@ -48,7 +50,7 @@ std::uint64_t pairKey(int a, int b)
   return static_cast<std::uint64_t>(std::min(a, b)) << 32 | static_cast<std::uint32_t>(std::max(a, b));
 }
 
-/** Numbers corners and edges in the order in which the elements meet them. */
+/** Numbers corners, then edges, in the order in which the elements meet them. */
 void numberNodes(const TetMesh& mesh, const std::vector<int>& order, Model& model)
 {
   std::unordered_map<std::uint64_t, int> node_of_edge;
@@ -76,6 +78,32 @@ void numberNodes(const TetMesh& mesh, const std::vector<int>& order, Model& mode
     }
   }
   model.num_nodes = static_cast<int>(model.ends.size());
+
+  // Corners before edges, and of neighbours those with many elements first: what is done for several nodes at a time
+  // takes as long as for the one with the most.
+  constexpr int NEIGHBOURS = 128;
+  std::vector<int> elements(model.num_nodes, 0), old(model.num_nodes), place(model.num_nodes);
+  for (const int node : model.tets) ++elements[node];
+  std::iota(old.begin(), old.end(), 0);
+  const auto edges =
+      std::stable_partition(old.begin(), old.end(), [&](int i) { return model.ends[i][0] == model.ends[i][1]; });
+  for (auto [begin, end] : {std::pair(old.begin(), edges), std::pair(edges, old.end())})
+  {
+    for (; begin != end; begin += std::min<std::ptrdiff_t>(NEIGHBOURS, end - begin))
+    {
+      std::stable_sort(begin, begin + std::min<std::ptrdiff_t>(NEIGHBOURS, end - begin),
+                       [&](int a, int b) { return elements[a] > elements[b]; });
+    }
+  }
+  std::vector<std::array<int, 2>> ends;
+  for (const int i : old)
+  {
+    place[i] = static_cast<int>(ends.size());
+    ends.push_back(model.ends[i]);
+  }
+  model.ends = std::move(ends);
+  for (int& node : model.tets) node = place[node];
+  for (int& node : model.node_of_corner) node = node < 0 ? node : place[node];
 }
 
 /** Ids of the mesh's corners and of midEdges(). */
@@ -156,6 +184,35 @@ void fillBlocks(Model& model)
       model.block_gradients[(block * 9 + k) * LANES + lane] =
           model.gradients(k % 3, 3 * static_cast<Eigen::Index>(t) + k / 3);
     }
+  }
+}
+
+void listShares(Model& model)
+{
+  constexpr int GROUP = kernels::NODE_GROUP;
+  std::vector<std::vector<int>> of_node((static_cast<std::size_t>(model.num_nodes) + GROUP - 1) / GROUP * GROUP);
+  for (int t = 0; t < model.num_tets; ++t)
+  {
+    for (int k = 0; k < model.nodes_per_tet; ++k)
+    {
+      const int row = kernels::ZERO_ROWS + t / LANES * model.nodes_per_tet + k;
+      of_node[model.nodesOf(t)[k]].push_back(LANES * row + kernels::slotOf(t % LANES));
+    }
+  }
+  model.share_begin.push_back(0);
+  for (std::size_t i = 0; i < of_node.size(); i += GROUP)
+  {
+    std::size_t most = 0;
+    for (int k = 0; k < GROUP; ++k) most = std::max(most, of_node[i + k].size());
+    for (std::size_t step = 0; step < most; ++step)
+    {
+      for (int k = 0; k < GROUP; ++k)
+      {
+        const std::vector<int>& slots = of_node[i + k];
+        model.share_slots.push_back(step < slots.size() ? slots[step] : 0);
+      }
+    }
+    model.share_begin.push_back(static_cast<int>(model.share_slots.size()) / GROUP);
   }
 }
 }  // namespace
@@ -273,6 +330,7 @@ Model buildModel(const TetMesh& mesh, Element element, const std::vector<Materia
   findBoundary(model);
   computeGeometry(model);
   fillBlocks(model);
+  listShares(model);
   setMaterials(model, materials);
   return model;
 }

@@ -10,13 +10,13 @@
 
 namespace bezier_fem
 {
-NewtonMemory::NewtonMemory(const Model& model, const Partition& partition)
+NewtonMemory::NewtonMemory(const Model& model)
     : tangent(model),
       damping(model),
       quadratic(model.num_nodes),
       gradient(model.num_nodes),
       first(model.num_nodes),
-      bend(partition.rows()),
+      bend(model.num_nodes),
       start(model.num_nodes),
       x(model.num_nodes)
 {
@@ -141,7 +141,7 @@ void newtonStage(const Model& model, const StepSettings& settings, const Support
 {
   constexpr int MAX_ROUNDS = 100;
   Stopwatch watch;
-  if (!w.newton) w.newton = std::make_unique<NewtonMemory>(model, w.partition);
+  if (!w.newton) w.newton = std::make_unique<NewtonMemory>(model);
   NewtonMemory& m = *w.newton;
   const double h = stage.length, damp_m = settings.damping.mass, damp_k = settings.damping.stiffness;
   const int max_iterations = std::max(1, settings.solver.max_iterations);

@@ -9,14 +9,14 @@ namespace bezier_fem
 /** Scratch memory of Newton's method. */
 struct NewtonMemory
 {
-  NewtonMemory(const Model& model, const Partition& partition);
+  explicit NewtonMemory(const Model& model);
 
   GreenTangent tangent;  // at the iterate
   GreenTangent damping;  // K_0 of the quadratic part
   NodalField quadratic;  // gradient of the quadratic part at the iterate
   NodalField gradient;   // of the sum
   NodalField first;      // the same where the residual is measured from
-  NodalField bend;       // how `quadratic` changes along a direction; partition.rows() rows
+  NodalField bend;       // how `quadratic` changes along a direction; model.num_nodes rows
   NodalField start;      // v that a stage starts from
   NodalField x;          // positions that a line search starts from
 };

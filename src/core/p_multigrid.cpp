@@ -3,9 +3,11 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <random>
 
 #include "bezier_fem/assembled_matrix.h"
+#include "element_loop.h"
 #include "kernels.h"
 #include "parallel.h"
 #include "sparse_cholesky.h"
@@ -14,10 +16,10 @@ namespace bezier_fem
 {
 namespace
 {
-/** Products a smoothing; with three an iteration less is needed, and every one costs more. */
-constexpr int DEGREE = 2;
+/** Chebyshev's terms in a smoothing. */
+constexpr int DEGREE = 3;
 /** The smoother takes care of eigenvalues down to the largest over this. */
-constexpr double RANGE = 8;
+constexpr double RANGE = 30;
 /** The largest eigenvalue is estimated from below, and changes a little as the elements turn. */
 constexpr double MARGIN = 1.1;
 
@@ -59,7 +61,215 @@ std::unique_ptr<Model> linearModel(const Model& model, std::vector<int>& node_of
   }
   return linear;
 }
+
+constexpr std::ptrdiff_t FIRST_SHARE = kernels::ZERO_ROWS * kernels::SHARES;
 }  // namespace
+
+/** alpha M + beta K' of quadratic elements in single precision, its smoother, and conjugate gradients' vectors. */
+class PMultigrid::QuadraticLevel
+{
+public:
+  QuadraticLevel(const Model& model, const Partition& partition, const Model& linear)
+      : model_(model),
+        linear_(linear),
+        partition_(partition),
+        rotated_(model.block_gradients.size()),
+        coefficients_(model.block_coefficients.size()),
+        shares_(kernels::SHARES * (kernels::ZERO_ROWS + static_cast<std::size_t>(model.num_blocks) * QUADRATIC_NODES)),
+        partial_(partition.numChunks())
+  {
+    constexpr std::size_t GROUP = kernels::NODE_GROUP;
+    const std::size_t nodes = (static_cast<std::size_t>(model.num_nodes) + GROUP - 1) / GROUP * GROUP;
+    inverse_.resize(12 * nodes);
+    for (AlignedVector<float>* field : {&solution, &remaining, &search, &product, &residual, &direction, &correction})
+    {
+      field->resize(4 * nodes);
+    }
+  }
+
+  void take(const Rotations& rotations, double alpha, double beta, const AlignedVector<double>& inverse)
+  {
+    takeElements(rotations, alpha, beta);
+    takeInverse(inverse);
+  }
+
+  /** The largest eigenvalue of B^-1 A, from below. */
+  void estimateLargest(const std::vector<std::uint8_t>& held)
+  {
+    constexpr int ITERATIONS = 15;
+    std::mt19937 random(1);
+    for (std::size_t i = 0; i < direction.size(); ++i)
+    {
+      const std::size_t node = i / 4, axis = i % 4;
+      const bool free = axis < 3 && node < held.size() && !(held[node] >> axis & 1);
+      direction[i] = free ? static_cast<float>(random()) / 4294967296.0f - 0.5f : 0.0f;
+    }
+    for (int k = 0; k < ITERATIONS; ++k)
+    {
+      multiply(direction);
+      std::fill(residual.begin(), residual.end(), 0.0f);
+      chebyshev(0, -1);  // makes B^-1 A v of the residual -A v
+      Eigen::Map<Eigen::VectorXf> v(direction.data(), static_cast<Eigen::Index>(direction.size()));
+      largest_ = v.norm();
+      if (largest_ > 0) v /= static_cast<float>(largest_);
+    }
+  }
+  bool estimated() const { return largest_ > 0; }
+
+  /** Leaves the shares of A u. */
+  void multiply(const AlignedVector<float>& u)
+  {
+    forEachThread(partition_, [&](int t) {
+      kernels::table().single_product(elements(), partition_.blockBegin(t), partition_.blockEnd(t), u.data(),
+                                      shares_.data() + FIRST_SHARE);
+    });
+  }
+  /** The same of P c. */
+  void multiplyProlonged(const AlignedVector<float>& c)
+  {
+    forEachThread(partition_, [&](int t) {
+      kernels::table().prolonged_product(elements(), partition_.blockBegin(t), partition_.blockEnd(t), c.data(),
+                                         shares_.data() + FIRST_SHARE);
+    });
+  }
+
+  /** residual -= what the shares sum up to */
+  void subtract()
+  {
+    forEachThread(partition_, [&](int t) {
+      kernels::table().subtract_shares(sharesOf(model_), partition_.nodeBegin(t), partition_.nodeEnd(t), shares_.data(),
+                                       residual.data());
+    });
+  }
+
+  /** solution += a search, remaining -= a product; then the first term for it, and remaining . B^-1 remaining. */
+  double advance(double a)
+  {
+    return sum([&](int begin, int end) {
+      return kernels::table().single_advance(begin, end, static_cast<float>(a), static_cast<float>(1 / centre()),
+                                             search.data(), product.data(), inverse_.data(), solution.data(),
+                                             remaining.data(), residual.data(), direction.data(), correction.data());
+    });
+  }
+
+  /** product = what the shares sum up to; returns search . product. */
+  double sumProduct()
+  {
+    return sum([&](int begin, int end) {
+      return kernels::table().single_sum(sharesOf(model_), begin, end, shares_.data(), search.data(), product.data());
+    });
+  }
+
+  /** remaining . correction */
+  double slope()
+  {
+    return sum([&](int begin, int end) {
+      return kernels::table().single_dot(begin, end, remaining.data(), correction.data());
+    });
+  }
+
+  /** search = correction + b search */
+  void redirect(double b)
+  {
+    forEachThread(partition_, [&](int t) {
+      kernels::table().single_redirect(partition_.nodeBegin(t), partition_.nodeEnd(t), static_cast<float>(b),
+                                       correction.data(), search.data());
+    });
+  }
+
+  /**
+   * Chebyshev's iteration for the residual, DEGREE terms of which the first is there already, or after a step of which
+   * the shares have A times. The residual is left as it is before the last term.
+   */
+  void smooth(bool has_first)
+  {
+    const double radius = MARGIN * largest_ - centre(), sigma = centre() / radius;
+    double rho = 1 / sigma;
+    if (!has_first) chebyshev(0, 1 / centre());
+    for (int k = 1; k < DEGREE; ++k)
+    {
+      multiply(direction);
+      const double next = 1 / (2 * sigma - rho);
+      chebyshev(next * rho, 2 * next / radius);
+      rho = next;
+    }
+  }
+
+  // x, y, z, 0 a node, and up to a whole group of nodes of what is zero or not looked at.
+  AlignedVector<float> solution, remaining, search, product;  // of conjugate gradients: x, r, p, A p
+  AlignedVector<float> residual, direction, correction;       // of the cycle
+
+private:
+  double centre() const { return MARGIN * largest_ * (1 + 1 / RANGE) / 2; }
+
+  kernels::SingleElements elements() const
+  {
+    return {model_.block_nodes.data(), linear_.block_nodes.data(), rotated_.data(), coefficients_.data(),
+            mean_.empty() ? nullptr : mean_.data()};
+  }
+
+  void chebyshev(double keep, double gain)
+  {
+    forEachThread(partition_, [&](int t) {
+      kernels::table().single_chebyshev(sharesOf(model_), partition_.nodeBegin(t), partition_.nodeEnd(t),
+                                        static_cast<float>(keep), static_cast<float>(gain), shares_.data(),
+                                        inverse_.data(), residual.data(), direction.data(), correction.data());
+    });
+  }
+
+  template <class F>
+  double sum(const F& f)
+  {
+    return sumOverNodes(partition_, partial_, f);
+  }
+
+  void takeElements(const Rotations& rotations, double alpha, double beta)
+  {
+    constexpr std::ptrdiff_t BLOCK = 9 * LANES;
+    const auto points = static_cast<float>(rotations.points);
+    forEachThread(partition_, [&](int t) {
+      for (std::ptrdiff_t block = partition_.blockBegin(t); block < partition_.blockEnd(t); ++block)
+      {
+        const double* from = rotations.gradients.data() + block * rotations.points * BLOCK;
+        float* to = rotated_.data() + block * BLOCK;
+        for (std::ptrdiff_t k = 0; k < BLOCK; ++k) to[k] = static_cast<float>(from[k]);
+        // Of several rotations, the mean.
+        for (int q = 1; q < rotations.points; ++q)
+        {
+          for (std::ptrdiff_t k = 0; k < BLOCK; ++k) to[k] += static_cast<float>(from[q * BLOCK + k]);
+        }
+        for (std::ptrdiff_t k = 0; k < BLOCK && rotations.points > 1; ++k) to[k] /= points;
+      }
+    });
+    for (std::size_t k = 0; k < coefficients_.size(); ++k)
+    {
+      const bool density = k / LANES % 3 == 2;
+      coefficients_[k] = static_cast<float>((density ? alpha : beta) * model_.block_coefficients[k]);
+    }
+    mean_.resize(model_.block_mean.size());
+    for (std::size_t k = 0; k < mean_.size(); ++k) mean_[k] = static_cast<float>(beta * model_.block_mean[k]);
+  }
+
+  void takeInverse(const AlignedVector<double>& inverse)
+  {
+    constexpr int GROUP = kernels::NODE_GROUP;
+    forEachThread(partition_, [&](int t) {
+      for (std::ptrdiff_t i = partition_.nodeBegin(t); i < partition_.nodeEnd(t); ++i)
+      {
+        const double* from = inverse.data() + kernels::INVERSE_STRIDE * i;
+        float* to = inverse_.data() + i / GROUP * 12 * GROUP + i % GROUP * 4;
+        for (int k = 0; k < 12; ++k) to[4 * GROUP * (k / 4) + k % 4] = static_cast<float>(from[k]);
+      }
+    });
+  }
+
+  const Model &model_, &linear_;
+  const Partition& partition_;
+  double largest_ = 0;
+  // kernels.h tells the layouts.
+  AlignedVector<float> rotated_, coefficients_, mean_, inverse_, shares_;
+  std::vector<double> partial_;  // a number a chunk of nodes
+};
 
 PMultigrid::PMultigrid(const Model& model, const Partition& partition)
     : linear_(linearModel(model, node_of_vertex_, vertices_of_)),
@@ -71,12 +281,25 @@ PMultigrid::PMultigrid(const Model& model, const Partition& partition)
       factored_frames_(9 * node_of_vertex_.size()),
       frames_(9 * node_of_vertex_.size()),
       right_(4 * node_of_vertex_.size()),
-      left_(4 * node_of_vertex_.size()),
-      residual_(model.num_nodes),
-      direction_(model.num_nodes),
-      correction_(model.num_nodes),
-      product_(partition.rows())
+      left_(4 * node_of_vertex_.size())
 {
+  if (!model.quadratic()) return;
+  quadratic_ = std::make_unique<QuadraticLevel>(model, partition, *linear_);
+  edges_begin_.assign(node_of_vertex_.size() + 1, 0);
+  for (const auto& [a, b] : vertices_of_)
+  {
+    if (a == b) continue;
+    ++edges_begin_[a + 1];
+    ++edges_begin_[b + 1];
+  }
+  std::partial_sum(edges_begin_.begin(), edges_begin_.end(), edges_begin_.begin());
+  edges_.resize(edges_begin_.back());
+  std::vector<int> next(edges_begin_.begin(), edges_begin_.end() - 1);
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    if (vertices_of_[i][0] == vertices_of_[i][1]) continue;
+    for (const int vertex : vertices_of_[i]) edges_[next[vertex]++] = i;
+  }
 }
 
 PMultigrid::~PMultigrid() = default;
@@ -140,32 +363,6 @@ bool PMultigrid::factor(const Model& model, const Rotations& rotations, const st
   return false;
 }
 
-void PMultigrid::estimateLargest(const Model& model)
-{
-  constexpr int ITERATIONS = 15;
-  std::mt19937 random(1);
-  NodalField v(model.num_nodes);
-  for (int i = 0; i < model.num_nodes; ++i)
-  {
-    for (int axis = 0; axis < 3; ++axis)
-    {
-      if (!(held_[i] >> axis & 1)) v[i][axis] = static_cast<double>(random()) / 4294967296.0 - 0.5;
-    }
-  }
-  for (int k = 0; k < ITERATIONS; ++k)
-  {
-    system_->product(v, product_);
-    for (int i = 0; i < model.num_nodes; ++i)
-    {
-      const Eigen::Map<const Eigen::Matrix<double, 4, 3>> inverse(
-          inverse_->data() + static_cast<std::ptrdiff_t>(kernels::INVERSE_STRIDE) * i);
-      v[i] = (inverse * product_[i]).head<3>();
-    }
-    largest_ = v.matrix().norm();
-    if (largest_ > 0) v.matrix() /= largest_;
-  }
-}
-
 void PMultigrid::turnFrames(const Model& model, const Rotations& rotations)
 {
   std::fill(frames_.begin(), frames_.end(), 0.0f);
@@ -191,22 +388,20 @@ void PMultigrid::turnFrames(const Model& model, const Rotations& rotations)
   }
 }
 
-bool PMultigrid::prepare(const SystemOperator& system, const Model& model, const Rotations& rotations,
-                         const std::vector<std::uint8_t>& held, double alpha, double beta,
-                         const AlignedVector<double>& inverse)
+bool PMultigrid::prepare(const Model& model, const Rotations& rotations, const std::vector<std::uint8_t>& held,
+                         double alpha, double beta, const AlignedVector<double>& inverse)
 {
-  system_ = &system;
-  inverse_ = &inverse;
   turnFrames(model, rotations);
   const bool same = alpha == alpha_ && beta == beta_ && held == held_;
+  alpha_ = alpha;
+  beta_ = beta;
+  held_ = held;
+  if (quadratic_) quadratic_->take(rotations, alpha, beta, inverse);
   if (!factored_ || !same)
   {
-    alpha_ = alpha;
-    beta_ = beta;
-    held_ = held;
     factored_ = factor(model, rotations, held);
     if (!factored_) return false;
-    if (model.quadratic() && !(same && largest_ > 0)) estimateLargest(model);
+    if (quadratic_ && !(same && quadratic_->estimated())) quadratic_->estimateLargest(held);
   }
   for (std::size_t i = 0; i < node_of_vertex_.size(); ++i)
   {
@@ -216,48 +411,9 @@ bool PMultigrid::prepare(const SystemOperator& system, const Model& model, const
   return true;
 }
 
-/**
- * `products` + 1 terms of Chebyshev's iteration for the residual, from which A d = q is taken first; the residual is
- * left as it is before the last term.
- */
-void PMultigrid::smooth(const Partition& partition, const double* q, NodalField& z, int products)
+/** left_ = A_linear^-1 right_, in turned frames, where free. */
+void PMultigrid::solveCoarse()
 {
-  const kernels::Table& kernel = kernels::table();
-  const double top = MARGIN * largest_, bottom = top / RANGE;
-  const double centre = (top + bottom) / 2, radius = (top - bottom) / 2, sigma = centre / radius;
-  double rho = 1 / sigma, keep = 0, gain = 1 / centre;
-  for (int k = 0;; ++k)
-  {
-    forEachThread(partition, [&](int t) {
-      kernel.chebyshev(partition.nodeBegin(t), partition.nodeEnd(t), keep, gain, q, inverse_->data(), residual_.data(),
-                       direction_.data(), z.data());
-    });
-    if (k == products) return;
-    system_->product(direction_, product_);
-    q = product_.data();
-    const double next = 1 / (2 * sigma - rho);
-    keep = next * rho;
-    gain = 2 * next / radius;
-    rho = next;
-  }
-}
-
-/** z = P A_linear^-1 P^T residual_, in turned frames. */
-void PMultigrid::addCorrection(NodalField& z)
-{
-  std::fill(right_.begin(), right_.end(), 0.0f);
-  for (std::size_t i = 0; i < vertices_of_.size(); ++i)
-  {
-    const double* r = residual_.data() + 4 * i;
-    float* a = right_.data() + 4L * vertices_of_[i][0];
-    float* b = right_.data() + 4L * vertices_of_[i][1];
-    for (int axis = 0; axis < 3; ++axis)
-    {
-      const float half = held_[i] >> axis & 1 ? 0 : static_cast<float>(0.5 * r[axis]);
-      a[axis] += half;
-      b[axis] += half;
-    }
-  }
   const auto clearHeld = [&](std::size_t vertex, Eigen::Map<Eigen::Vector3f>& v) {
     const std::uint8_t held = held_[node_of_vertex_[vertex]];
     for (int axis = 0; held != 0 && axis < 3; ++axis)
@@ -278,34 +434,73 @@ void PMultigrid::addCorrection(NodalField& z)
     v = (Eigen::Map<const Eigen::Matrix3f>(frames_.data() + 9 * k) * v).eval();
     clearHeld(k, v);
   }
-  for (std::size_t i = 0; i < vertices_of_.size(); ++i)
-  {
-    const float* a = left_.data() + 4L * vertices_of_[i][0];
-    const float* b = left_.data() + 4L * vertices_of_[i][1];
-    double* to = z.data() + 4 * i;
-    for (int axis = 0; axis < 3; ++axis)
-    {
-      to[axis] = held_[i] >> axis & 1 ? 0 : 0.5 * (static_cast<double>(a[axis]) + static_cast<double>(b[axis]));
-    }
-  }
 }
 
-void PMultigrid::apply(const Partition& partition, const NodalField& r, NodalField& z)
+/** One V-cycle for the residual, of which the smoother's first term is there already, to `correction`. */
+void PMultigrid::cycle()
 {
-  residual_.matrix() = r.matrix().leftCols(residual_.size());
-  if (linear_->num_nodes == residual_.size())
+  QuadraticLevel& level = *quadratic_;
+  level.smooth(true);
+  level.multiply(level.direction);
+  level.subtract();
+  using Node = Eigen::Map<Eigen::Vector4f, Eigen::Aligned16>;
+  const auto at = [](AlignedVector<float>& field, std::size_t i) { return Node(field.data() + 4 * i); };
+  for (std::size_t k = 0; k < node_of_vertex_.size(); ++k)
   {
-    addCorrection(z);
+    Eigen::Vector4f edges = Eigen::Vector4f::Zero();
+    for (int e = edges_begin_[k]; e < edges_begin_[k + 1]; ++e) edges += at(level.residual, edges_[e]);
+    at(right_, k) = at(level.residual, node_of_vertex_[k]) + 0.5f * edges;
+  }
+  solveCoarse();
+  for (std::size_t i = 0; i < vertices_of_.size(); ++i)
+  {
+    at(level.correction, i) += 0.5f * (at(left_, vertices_of_[i][0]) + at(left_, vertices_of_[i][1]));
+  }
+  level.multiplyProlonged(left_);
+  level.smooth(false);
+}
+
+void PMultigrid::apply(const NodalField& r, NodalField& z)
+{
+  const std::ptrdiff_t numbers = 4L * z.size();
+  if (!quadratic_)
+  {
+    std::copy_n(r.data(), numbers, right_.begin());
+    solveCoarse();
+    std::copy_n(left_.begin(), numbers, z.data());
     return;
   }
-  z.setZero();
-  smooth(partition, nullptr, z, DEGREE - 1);
-  system_->product(direction_, product_);
-  residual_.matrix() -= product_.matrix().leftCols(residual_.size());
-  addCorrection(correction_);
-  z.matrix() += correction_.matrix();
-  system_->product(correction_, product_);
-  smooth(partition, product_.data(), z, DEGREE - 1);
+  std::copy_n(r.data(), numbers, quadratic_->remaining.begin());
+  quadratic_->advance(0);
+  cycle();
+  std::copy_n(quadratic_->correction.begin(), numbers, z.data());
+}
+
+int PMultigrid::improve(const NodalField& r, double target, int max_iterations, NodalField& u)
+{
+  QuadraticLevel& level = *quadratic_;
+  const std::ptrdiff_t numbers = 4L * u.size();
+  std::copy_n(r.data(), numbers, level.remaining.begin());
+  std::fill(level.solution.begin(), level.solution.end(), 0.0f);
+  level.advance(0);
+  int iterations = 0;
+  double before = 0;
+  while (iterations < max_iterations)
+  {
+    cycle();
+    const double slope = level.slope();
+    if (!(slope > 0)) break;
+    level.redirect(iterations == 0 ? 0 : slope / before);
+    before = slope;
+    level.multiply(level.search);
+    const double curvature = level.sumProduct();
+    if (!(curvature > 0)) break;
+    ++iterations;
+    if (!(level.advance(slope / curvature) > target * target)) break;
+  }
+  Eigen::Map<Eigen::VectorXd>(u.data(), numbers) +=
+      Eigen::Map<const Eigen::VectorXf>(level.solution.data(), numbers).cast<double>();
+  return iterations;
 }
 
 }  // namespace bezier_fem

@@ -7,11 +7,19 @@
 #include <cmath>
 #include <numeric>
 
+#include "kernels.h"
+
 namespace bezier_fem
 {
 namespace
 {
-using FloatPanel = Eigen::Map<Eigen::MatrixXf, Eigen::Aligned16>;
+using Panel = Eigen::Map<Eigen::MatrixXf, Eigen::Aligned64, Eigen::OuterStride<>>;
+
+/** Rows of a panel in memory: whole registers of any width. */
+int stride(int rows)
+{
+  return (3 * rows + LANES - 1) / LANES * LANES;
+}
 
 /** Nested dissection by planes (George 1973): halves of a set of nodes first, then the nodes that part them. */
 class Dissection
@@ -151,7 +159,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   }
 
   // Supernodes: columns join the next where that adds few zeros.
-  struct Panel
+  struct Columns
   {
     int begin, end;
     std::vector<int> rows;
@@ -162,16 +170,17 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
       return w * (w + 1) / 2 + w * static_cast<double>(rows.size());
     }
   };
-  std::vector<Panel> panels;
+  const int MOST_COLUMNS = getenv("MC") ? atoi(getenv("MC")) : 24;
+  std::vector<Columns> panels;
   for (int j = 0; j < n; ++j)
   {
     panels.push_back({j, j + 1, below[j], 0});
     while (panels.size() > 1)
     {
-      Panel& last = panels.back();
-      Panel& before = panels[panels.size() - 2];
-      if (parent[before.end - 1] != last.begin) break;
-      Panel merged{before.begin, last.end, last.rows, 0};
+      Columns& last = panels.back();
+      Columns& before = panels[panels.size() - 2];
+      if (parent[before.end - 1] != last.begin || last.end - before.begin > MOST_COLUMNS) break;
+      Columns merged{before.begin, last.end, last.rows, 0};
       merged.zeros = merged.size() - (before.size() - before.zeros) - (last.size() - last.zeros);
       const int width = merged.end - merged.begin;
       const double allowed = width <= 4 ? 0.6 : width <= 16 ? 0.2 : 0.05;
@@ -182,14 +191,13 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   }
   std::size_t values = 0, most_update = 0;
   int most_rows = 0, widest = 0;
-  for (const Panel& p : panels) widest = std::max(widest, p.end - p.begin);
-  for (const Panel& p : panels)
+  for (const Columns& p : panels) widest = std::max(widest, p.end - p.begin);
+  for (const Columns& p : panels)
   {
     const int count = static_cast<int>(p.rows.size());
     supernodes_.push_back({p.begin, p.end, static_cast<int>(rows_.size()), count, values});
     rows_.insert(rows_.end(), p.rows.begin(), p.rows.end());
-    const std::size_t height = 3 * static_cast<std::size_t>(p.end - p.begin + count);
-    values += (height * 3 * (p.end - p.begin) + 15) / 16 * 16;
+    values += 3 * static_cast<std::size_t>(stride(p.end - p.begin + count)) * (p.end - p.begin);
     most_rows = std::max(most_rows, p.end - p.begin + count);
     most_update = std::max(most_update, 9 * static_cast<std::size_t>(count) * std::min(count, widest));
     supernode_of_.insert(supernode_of_.end(), p.end - p.begin, static_cast<int>(supernodes_.size()) - 1);
@@ -199,7 +207,8 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   for (std::vector<int>* list : {&head_, &next_, &done_}) list->resize(supernodes_.size());
   values_.resize(values);
   work_.resize(3 * static_cast<std::size_t>(n) + 16);
-  gathered_.resize(3 * static_cast<std::size_t>(most_rows) + 16);
+  gathered_.resize(stride(most_rows));
+  product_.resize(std::max(stride(most_rows), 3 * widest));
 }
 
 bool SparseCholesky::factor(const AssembledMatrix& matrix)
@@ -211,7 +220,7 @@ bool SparseCholesky::factor(const AssembledMatrix& matrix)
   {
     const Supernode& node = supernodes_[s];
     const int width = node.end - node.begin, height = width + node.rows_count;
-    FloatPanel panel(values_.data() + node.values, 3L * height, 3L * width);
+    Panel panel(values_.data() + node.values, 3L * height, 3L * width, Eigen::OuterStride<>(stride(height)));
     for (int j = 0; j < width; ++j) local_[node.begin + j] = j;
     for (int k = 0; k < node.rows_count; ++k) local_[rows_[node.rows_begin + k]] = width + k;
     for (int j = 0; j < width; ++j)
@@ -233,9 +242,10 @@ bool SparseCholesky::factor(const AssembledMatrix& matrix)
       const int following = next_[k], w = from.end - from.begin, first = done_[k];
       int last = first;
       while (last < from.rows_count && rows_[from.rows_begin + last] < node.end) ++last;
-      const FloatPanel source(values_.data() + from.values, 3L * (w + from.rows_count), 3L * w);
+      const Panel source(values_.data() + from.values, 3L * (w + from.rows_count), 3L * w,
+                         Eigen::OuterStride<>(stride(w + from.rows_count)));
       const Eigen::Index rows = 3L * (from.rows_count - first), columns = 3L * (last - first);
-      FloatPanel update(update_.data(), rows, columns);
+      Eigen::Map<Eigen::MatrixXf, Eigen::Aligned64> update(update_.data(), rows, columns);
       update.noalias() = source.bottomRows(rows) * source.middleRows(3L * (w + first), columns).transpose();
       for (int c = first; c < last; ++c)
       {
@@ -267,11 +277,27 @@ bool SparseCholesky::factor(const AssembledMatrix& matrix)
       head_[target] = static_cast<int>(s);
     }
   }
+  invertDiagonal();
   return true;
+}
+
+void SparseCholesky::invertDiagonal()
+{
+  for (const Supernode& node : supernodes_)
+  {
+    const int width = node.end - node.begin, height = width + node.rows_count;
+    Panel panel(values_.data() + node.values, 3L * height, 3L * width, Eigen::OuterStride<>(stride(height)));
+    auto diagonal = panel.topRows(3L * width);
+    const Eigen::MatrixXf inverse =
+        diagonal.triangularView<Eigen::Lower>().solve(Eigen::MatrixXf::Identity(3L * width, 3L * width));
+    diagonal = inverse;
+    panel.bottomRows(3L * node.rows_count) = (panel.bottomRows(3L * node.rows_count) * inverse).eval();
+  }
 }
 
 void SparseCholesky::solve(const float* b, float* x)
 {
+  const kernels::Table& kernel = kernels::table();
   const int n = static_cast<int>(order_.size());
   for (int k = 0; k < n; ++k)
   {
@@ -280,31 +306,31 @@ void SparseCholesky::solve(const float* b, float* x)
   for (const Supernode& node : supernodes_)
   {
     const int width = node.end - node.begin;
-    const FloatPanel panel(values_.data() + node.values, 3L * (width + node.rows_count), 3L * width);
-    Eigen::Map<Eigen::VectorXf> own(work_.data() + 3L * node.begin, 3L * width);
-    panel.topRows(3L * width).triangularView<Eigen::Lower>().solveInPlace(own);
-    Eigen::Map<Eigen::VectorXf> below(gathered_.data(), 3L * node.rows_count);
-    below.noalias() = panel.bottomRows(3L * node.rows_count) * own;
+    float* own = work_.data() + 3L * node.begin;
+    kernel.panel_product(stride(width + node.rows_count), 3 * width, values_.data() + node.values, own,
+                         product_.data());
+    std::copy_n(product_.data(), 3 * width, own);
+    const float* below = product_.data() + 3L * width;
     for (int k = 0; k < node.rows_count; ++k)
     {
       float* to = work_.data() + 3L * rows_[node.rows_begin + k];
-      for (int axis = 0; axis < 3; ++axis) to[axis] -= gathered_[3L * k + axis];
+      for (int axis = 0; axis < 3; ++axis) to[axis] -= below[3L * k + axis];
     }
   }
   for (auto s = supernodes_.rbegin(); s != supernodes_.rend(); ++s)
   {
     const Supernode& node = *s;
-    const int width = node.end - node.begin;
-    const FloatPanel panel(values_.data() + node.values, 3L * (width + node.rows_count), 3L * width);
-    Eigen::Map<Eigen::VectorXf> own(work_.data() + 3L * node.begin, 3L * width);
-    Eigen::Map<Eigen::VectorXf> below(gathered_.data(), 3L * node.rows_count);
+    const int width = node.end - node.begin, height = width + node.rows_count;
+    float* own = work_.data() + 3L * node.begin;
+    std::copy_n(own, 3 * width, gathered_.data());
+    float* below = gathered_.data() + 3L * width;
     for (int k = 0; k < node.rows_count; ++k)
     {
       const float* from = work_.data() + 3L * rows_[node.rows_begin + k];
-      for (int axis = 0; axis < 3; ++axis) gathered_[3L * k + axis] = from[axis];
+      for (int axis = 0; axis < 3; ++axis) below[3L * k + axis] = -from[axis];
     }
-    own.noalias() -= panel.bottomRows(3L * node.rows_count).transpose() * below;
-    panel.topRows(3L * width).triangularView<Eigen::Lower>().transpose().solveInPlace(own);
+    std::fill(gathered_.begin() + 3L * height, gathered_.begin() + stride(height), 0.0f);
+    kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered_.data(), own);
   }
   for (int k = 0; k < n; ++k)
   {

@@ -29,19 +29,22 @@ public:
   void solve(const float* b, float* x);
 
 private:
+  void invertDiagonal();
+
   struct Supernode
   {
     int begin, end;  // columns, in the order of elimination
     int rows_begin;  // of rows_: rows below the diagonal block
     int rows_count;
-    std::size_t values;  // of values_: column-major, 3 (end - begin + rows_count) rows, 3 (end - begin) columns
+    // Of values_, column-major: L_11^-1 of its own columns, and below it L_21 L_11^-1, so that a solve is products.
+    std::size_t values;
   };
   std::vector<int> order_;     // new -> old
   std::vector<int> position_;  // old -> new
   std::vector<Supernode> supernodes_;
   std::vector<int> rows_;
   AlignedVector<float> values_;
-  AlignedVector<float> work_, gathered_, update_;               // scratch
+  AlignedVector<float> work_, gathered_, product_, update_;     // scratch
   std::vector<int> local_, head_, next_, done_, supernode_of_;  // scratch, but for the last
 };
 

@@ -66,7 +66,7 @@ StepReport greenEquilibrium(const Model& model, const StepSettings& settings, co
                             Workspace& w, const std::function<void(int, double)>& progress)
 {
   constexpr int MAX_ROUNDS = 300;
-  if (!w.newton) w.newton = std::make_unique<NewtonMemory>(model, w.partition);
+  if (!w.newton) w.newton = std::make_unique<NewtonMemory>(model);
   NewtonMemory& m = *w.newton;
   // The sum that is minimised: U(x_0 + v) - f_ext . v, with a pressure's force that of the start of each round.
   state.v.setZero();

@@ -327,7 +327,7 @@ Workspace::Workspace(const Model& model, const StepSettings& settings, int threa
       solver(model, partition),
       balance(model.num_nodes),
       load(model.num_nodes),
-      force(partition.rows()),
+      force(model.num_nodes),
       rhs(model.num_nodes),
       led(model.num_nodes),
       change(model.num_nodes),

@@ -54,7 +54,7 @@ inline Eigen::SparseMatrix<double> assembled(const Model& model, const Rotations
   }
 
   const Partition partition(model, 1);
-  NodalField unit(n), product(partition.rows());
+  NodalField unit(n), product(model.num_nodes);
   std::vector<Eigen::Triplet<double>> entries;
   for (const std::vector<int>& group : groups)
   {

@@ -53,7 +53,7 @@ TEST_P(Newton, AStepSatisfiesImplicitEuler)
     EXPECT_GT(report.iterations, 0);
     GreenTangent damping(model);
     linearise(model, workspace.partition, before.x, Projection::POSITIVE_STRESS, damping);
-    NodalField inertia(workspace.partition.rows()), damped(inertia), elastic(inertia), change(model.num_nodes);
+    NodalField inertia(model.num_nodes), damped(inertia), elastic(inertia), change(model.num_nodes);
     change.matrix() = state.v.matrix() - before.v.matrix();
     systemProduct(model, workspace.partition, damping, 1, 0, change, inertia);
     systemProduct(model, workspace.partition, damping, s.damping.mass, s.damping.stiffness, state.v, damped);
@@ -194,7 +194,7 @@ TEST_P(Newton, BalancesAPressureThatTurnsWithTheBody)
     State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
     const StepReport report = solveStatic(model, s, supports, {load}, no_force, state, workspace, {});
     EXPECT_TRUE(report.converged) << pressure;
-    NodalField applied(model.num_nodes), elastic(workspace.partition.rows());
+    NodalField applied(model.num_nodes), elastic(model.num_nodes);
     addLoads(model, {load}, 0, state.x, applied);
     greenForce(model, workspace.partition, state.x, elastic);
     for (int i = 0; i < model.num_nodes; ++i)

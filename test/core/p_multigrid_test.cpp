@@ -58,8 +58,14 @@ protected:
     std::vector<std::uint8_t> axes(model.num_nodes, 0);
     for (int i = 0; i < model.num_nodes; ++i)
     {
-      if (model.rest[i].x() < 1e-9 && model.rest[i].z() < 0.3) axes[i] = 2;
-      if (model.rest[i].z() < 1e-9) axes[i] = 7;
+      // As regions do: an edge where both of its corners are
+      const auto all = [&](auto inside) {
+        const auto [a, b] = model.ends[i];
+        return inside(Vector3d(model.rest[model.node_of_corner[a]])) &&
+               inside(Vector3d(model.rest[model.node_of_corner[b]]));
+      };
+      if (all([](const Vector3d& X) { return X.x() < 1e-9 && X.z() < 0.3; })) axes[i] = 2;
+      if (all([](const Vector3d& X) { return X.z() < 1e-9; })) axes[i] = 7;
     }
     return axes;
   }
@@ -86,13 +92,13 @@ TEST_P(Multigrid, IsSymmetricAndPositive)
 {
   const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
   ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
-  ASSERT_TRUE(multigrid.prepare(system, model, rotations, held, 1, 4e-4, solver.inverse()));
+  ASSERT_TRUE(multigrid.prepare(model, rotations, held, 1, 4e-4, solver.inverse()));
   for (unsigned seed = 0; seed < 5; ++seed)
   {
     NodalField a = test::randomField(model.num_nodes, seed), b = test::randomField(model.num_nodes, seed + 100);
     NodalField za(model.num_nodes), zb(model.num_nodes);
-    multigrid.apply(partition, a, za);
-    multigrid.apply(partition, b, zb);
+    multigrid.apply(a, za);
+    multigrid.apply(b, zb);
     NodalField masked = za;
     clearHeld(masked);
     EXPECT_EQ((masked.matrix() - za.matrix()).norm(), 0);  // held components stay
@@ -114,7 +120,7 @@ TEST_P(Multigrid, SolvesTheSameInFarFewerIterations)
     expected.setZero();
     const SolveReport plain = solver.solve(system, partition, b, expected, 1e-10, 10000);
     ASSERT_TRUE(plain.converged);
-    ASSERT_TRUE(multigrid.prepare(system, model, rotations, held, alpha, beta, solver.inverse()));
+    ASSERT_TRUE(multigrid.prepare(model, rotations, held, alpha, beta, solver.inverse()));
     u.setZero();
     const SolveReport report = solver.solve(system, partition, b, u, 1e-10, 10000, &multigrid);
     EXPECT_TRUE(report.converged);
@@ -130,7 +136,7 @@ TEST_P(Multigrid, FollowsANewMaterial)
   NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes);
   const auto iterations = [&] {
     EXPECT_TRUE(solver.prepare(system, model, partition, held, 0));
-    EXPECT_TRUE(multigrid.prepare(system, model, rotations, held, 0, 1, solver.inverse()));
+    EXPECT_TRUE(multigrid.prepare(model, rotations, held, 0, 1, solver.inverse()));
     u.setZero();
     return solver.solve(system, partition, b, u, 1e-8, 10000, &multigrid).iterations;
   };

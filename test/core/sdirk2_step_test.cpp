@@ -178,7 +178,7 @@ TEST(Sdirk2Formula, IsTheMethodsStabilityFunctionOfTheWholeSystem)
   const int n = 3 * model.num_nodes;
   const auto dense = [&](double alpha, double beta) {
     MatrixXd A(n, n);
-    NodalField unit(model.num_nodes), column(workspace.partition.rows());
+    NodalField unit(model.num_nodes), column(model.num_nodes);
     for (int j = 0; j < n; ++j)
     {
       unit.setZero();

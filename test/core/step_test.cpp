@@ -78,7 +78,7 @@ TEST_P(Stepping, IsTheFormulaSolvedDirectly)
   const int n = model.num_nodes;
   const auto dense = [&](double alpha, double beta) {
     MatrixXd A(3L * n, 3L * n);
-    NodalField unit(n), column(workspace.partition.rows());
+    NodalField unit(n), column(model.num_nodes);
     for (int j = 0; j < 3 * n; ++j)
     {
       unit.setZero();
@@ -378,7 +378,7 @@ TEST(ConjugateGradients, SolveAndTellTheTruth)
   double last = 1e300;
   for (const double tolerance : {1e-2, 1e-4, 1e-8, 1e-12})
   {
-    NodalField u(model.num_nodes), product(partition.rows());
+    NodalField u(model.num_nodes), product(model.num_nodes);
     const SolveReport report = solver.solve(system, partition, b, u, tolerance, 10000);
     EXPECT_TRUE(report.converged);
     EXPECT_LE(report.residual, tolerance);

@@ -1,0 +1,378 @@
+// What the element loops of kernels_impl.h are made of, inside its unnamed namespace: registers of either precision
+// with an element a lane, and the formulas of the element. They know of a register only what arithmetic needs.
+
+using Vec = double __attribute__((vector_size(sizeof(double) * WIDTH)));
+using Node = double __attribute__((vector_size(sizeof(double) * 4)));
+/** Twice as many in single precision. */
+constexpr int SINGLE_WIDTH = 2 * WIDTH;
+using SingleVec = float __attribute__((vector_size(sizeof(float) * SINGLE_WIDTH)));
+using SingleNode = float __attribute__((vector_size(sizeof(float) * 4)));
+static_assert(LANES % SINGLE_WIDTH == 0, "a block is a whole number of registers");
+
+inline Vec load(const double* p)
+{
+  return *reinterpret_cast<const Vec*>(p);
+}
+inline SingleVec load(const float* p)
+{
+  return *reinterpret_cast<const SingleVec*>(p);
+}
+inline void store(double* p, Vec v)
+{
+  *reinterpret_cast<Vec*>(p) = v;
+}
+inline void store(float* p, SingleVec v)
+{
+  *reinterpret_cast<SingleVec*>(p) = v;
+}
+inline Node loadNode(const double* base, int node)
+{
+  return *reinterpret_cast<const Node*>(base + 4L * node);
+}
+inline SingleNode loadNode(const float* base, int node)
+{
+  return *reinterpret_cast<const SingleNode*>(base + 4L * node);
+}
+
+/** Zeros that the compiler does not know of: GCC 12.2 gets some permutations of a register with zeros wrong. */
+template <class V>
+ALWAYS_INLINE V zeros()
+{
+  V zero = {};
+#if WIDTH == 8
+  __asm__("" : "+v"(zero));
+#endif
+  return zero;
+}
+
+/** A number in every lane. */
+template <class V>
+inline V all(double value)
+{
+  using Scalar = std::remove_reference_t<decltype(std::declval<V&>()[0])>;
+  return V{} + static_cast<Scalar>(value);
+}
+
+/** V is a register. */
+template <class V>
+struct Vec3Of
+{
+  V x, y, z;
+};
+using Vec3 = Vec3Of<Vec>;
+template <class V>
+inline Vec3Of<V> operator+(const Vec3Of<V>& a, const Vec3Of<V>& b)
+{
+  return {a.x + b.x, a.y + b.y, a.z + b.z};
+}
+template <class V>
+inline Vec3Of<V> operator-(const Vec3Of<V>& a, const Vec3Of<V>& b)
+{
+  return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+template <class V>
+inline Vec3Of<V> operator*(V s, const Vec3Of<V>& a)
+{
+  return {s * a.x, s * a.y, s * a.z};
+}
+
+/** The values of WIDTH nodes, one a lane: a transpose from x, y, z, 0 in memory to three registers. */
+ALWAYS_INLINE Vec3 gather(const double* base, const int* nodes)
+{
+#if WIDTH == 2
+  const Vec a = load(base + 4L * nodes[0]), b = load(base + 4L * nodes[1]);
+  return {__builtin_shufflevector(a, b, 0, 2), __builtin_shufflevector(a, b, 1, 3),
+          Vec{base[4L * nodes[0] + 2], base[4L * nodes[1] + 2]}};
+#else
+#if WIDTH == 4
+  const Vec a = loadNode(base, nodes[0]), b = loadNode(base, nodes[1]);
+  const Vec c = loadNode(base, nodes[2]), d = loadNode(base, nodes[3]);
+  const Vec ab_xz = __builtin_shufflevector(a, b, 0, 4, 2, 6), ab_y = __builtin_shufflevector(a, b, 1, 5, 3, 7);
+  const Vec cd_xz = __builtin_shufflevector(c, d, 0, 4, 2, 6), cd_y = __builtin_shufflevector(c, d, 1, 5, 3, 7);
+  return {__builtin_shufflevector(ab_xz, cd_xz, 0, 1, 4, 5), __builtin_shufflevector(ab_y, cd_y, 0, 1, 4, 5),
+          __builtin_shufflevector(ab_xz, cd_xz, 2, 3, 6, 7)};
+#else
+  const auto pair = [&](int k) {
+    return __builtin_shufflevector(loadNode(base, nodes[k]), loadNode(base, nodes[k + 4]), 0, 1, 2, 3, 4, 5, 6, 7);
+  };
+  const Vec a = pair(0), b = pair(1), c = pair(2), d = pair(3);
+  const Vec ab_xz = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
+  const Vec ab_y = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
+  const Vec cd_xz = __builtin_shufflevector(c, d, 0, 8, 2, 10, 4, 12, 6, 14);
+  const Vec cd_y = __builtin_shufflevector(c, d, 1, 9, 3, 11, 5, 13, 7, 15);
+  return {__builtin_shufflevector(ab_xz, cd_xz, 0, 1, 8, 9, 4, 5, 12, 13),
+          __builtin_shufflevector(ab_y, cd_y, 0, 1, 8, 9, 4, 5, 12, 13),
+          __builtin_shufflevector(ab_xz, cd_xz, 2, 3, 10, 11, 6, 7, 14, 15)};
+#endif
+#endif
+}
+
+/** The transpose of gather(): a share a lane, to the place that slotOf() names in a row of LANES. */
+ALWAYS_INLINE void storeShares(double* row, int part, const Vec3& v)
+{
+#if WIDTH == 2
+  for (int k = 0; k < 2; ++k)
+  {
+    double* p = row + 4L * slotOf(part + k);
+    *reinterpret_cast<Vec*>(p) = Vec{v.x[k], v.y[k]};
+    *reinterpret_cast<Vec*>(p + 2) = Vec{v.z[k], 0};
+  }
+#else
+  double* to = row + part;  // 4 slotOf(part)
+  const Vec zero = zeros<Vec>();
+#if WIDTH == 4
+  const Vec xy_02 = __builtin_shufflevector(v.x, v.y, 0, 4, 2, 6),
+            xy_13 = __builtin_shufflevector(v.x, v.y, 1, 5, 3, 7);
+  const Vec z_02 = __builtin_shufflevector(v.z, zero, 0, 4, 2, 6),
+            z_13 = __builtin_shufflevector(v.z, zero, 1, 5, 3, 7);
+  store(to, __builtin_shufflevector(xy_02, z_02, 0, 1, 4, 5));
+  store(to + LANES, __builtin_shufflevector(xy_13, z_13, 0, 1, 4, 5));
+  store(to + 2L * LANES, __builtin_shufflevector(xy_02, z_02, 2, 3, 6, 7));
+  store(to + 3L * LANES, __builtin_shufflevector(xy_13, z_13, 2, 3, 6, 7));
+#else
+  const Vec xy_even = __builtin_shufflevector(v.x, v.y, 0, 8, 2, 10, 4, 12, 6, 14);
+  const Vec xy_odd = __builtin_shufflevector(v.x, v.y, 1, 9, 3, 11, 5, 13, 7, 15);
+  const Vec z_even = __builtin_shufflevector(v.z, zero, 0, 8, 2, 10, 4, 12, 6, 14);
+  const Vec z_odd = __builtin_shufflevector(v.z, zero, 1, 9, 3, 11, 5, 13, 7, 15);
+  store(to, __builtin_shufflevector(xy_even, z_even, 0, 1, 8, 9, 4, 5, 12, 13));
+  store(to + LANES, __builtin_shufflevector(xy_odd, z_odd, 0, 1, 8, 9, 4, 5, 12, 13));
+  store(to + 2L * LANES, __builtin_shufflevector(xy_even, z_even, 2, 3, 10, 11, 6, 7, 14, 15));
+  store(to + 3L * LANES, __builtin_shufflevector(xy_odd, z_odd, 2, 3, 10, 11, 6, 7, 14, 15));
+#endif
+#endif
+}
+
+#if WIDTH == 2
+#define BY_FOURS(a, b, i, j, k, l) __builtin_shufflevector(a, b, i, j, k, l)
+#elif WIDTH == 4
+#define UP(i) ((i) < 4 ? (i) : (i) + 4)
+#define BY_FOURS(a, b, i, j, k, l) \
+  __builtin_shufflevector(a, b, UP(i), UP(j), UP(k), UP(l), UP(i) + 4, UP(j) + 4, UP(k) + 4, UP(l) + 4)
+#else
+#define UP(i) ((i) < 4 ? (i) : (i) + 12)
+#define BY_FOURS(a, b, i, j, k, l)                                                                                 \
+  __builtin_shufflevector(a, b, UP(i), UP(j), UP(k), UP(l), UP(i) + 4, UP(j) + 4, UP(k) + 4, UP(l) + 4, UP(i) + 8, \
+                          UP(j) + 8, UP(k) + 8, UP(l) + 8, UP(i) + 12, UP(j) + 12, UP(k) + 12, UP(l) + 12)
+#endif
+
+/** Nodes q, q + 4, ... of a list side by side. */
+ALWAYS_INLINE SingleVec loadEveryFourth(const float* base, const int* nodes)
+{
+#if WIDTH == 2
+  return loadNode(base, nodes[0]);
+#else
+  const SingleNode a = loadNode(base, nodes[0]), b = loadNode(base, nodes[4]);
+  const auto ab = __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7);
+#if WIDTH == 4
+  return ab;
+#else
+  const SingleNode c = loadNode(base, nodes[8]), d = loadNode(base, nodes[12]);
+  const auto cd = __builtin_shufflevector(c, d, 0, 1, 2, 3, 4, 5, 6, 7);
+  return __builtin_shufflevector(ab, cd, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+#endif
+#endif
+}
+
+ALWAYS_INLINE Vec3Of<SingleVec> gather(const float* base, const int* nodes)
+{
+  const SingleVec a = loadEveryFourth(base, nodes), b = loadEveryFourth(base, nodes + 1);
+  const SingleVec c = loadEveryFourth(base, nodes + 2), d = loadEveryFourth(base, nodes + 3);
+  const SingleVec ab_xy = BY_FOURS(a, b, 0, 4, 1, 5), cd_xy = BY_FOURS(c, d, 0, 4, 1, 5);
+  const SingleVec ab_z = BY_FOURS(a, b, 2, 6, 3, 7), cd_z = BY_FOURS(c, d, 2, 6, 3, 7);
+  return {BY_FOURS(ab_xy, cd_xy, 0, 1, 4, 5), BY_FOURS(ab_xy, cd_xy, 2, 3, 6, 7), BY_FOURS(ab_z, cd_z, 0, 1, 4, 5)};
+}
+
+ALWAYS_INLINE void storeShares(float* row, int part, const Vec3Of<SingleVec>& v)
+{
+  const SingleVec zero = zeros<SingleVec>();
+  const SingleVec xy_01 = BY_FOURS(v.x, v.y, 0, 4, 1, 5), xy_23 = BY_FOURS(v.x, v.y, 2, 6, 3, 7);
+  const SingleVec z_01 = BY_FOURS(v.z, zero, 0, 4, 1, 5), z_23 = BY_FOURS(v.z, zero, 2, 6, 3, 7);
+  float* to = row + part;  // 4 slotOf(part)
+  store(to, BY_FOURS(xy_01, z_01, 0, 1, 4, 5));
+  store(to + LANES, BY_FOURS(xy_01, z_01, 2, 3, 6, 7));
+  store(to + 2L * LANES, BY_FOURS(xy_23, z_23, 0, 1, 4, 5));
+  store(to + 3L * LANES, BY_FOURS(xy_23, z_23, 2, 3, 6, 7));
+}
+
+/** Symmetric 3x3 matrix, one a lane. */
+template <class V>
+struct SymOf
+{
+  V xx, xy, xz, yy, yz, zz;
+};
+using Sym = SymOf<Vec>;
+template <class V>
+inline SymOf<V> operator+(const SymOf<V>& a, const SymOf<V>& b)
+{
+  return {a.xx + b.xx, a.xy + b.xy, a.xz + b.xz, a.yy + b.yy, a.yz + b.yz, a.zz + b.zz};
+}
+template <class V>
+inline Vec3Of<V> operator*(const SymOf<V>& m, const Vec3Of<V>& v)
+{
+  return {m.xx * v.x + m.xy * v.y + m.xz * v.z, m.xy * v.x + m.yy * v.y + m.yz * v.z,
+          m.xz * v.x + m.yz * v.y + m.zz * v.z};
+}
+
+template <class V>
+struct RotatedGradientsOf
+{
+  Vec3Of<V> r[4];
+};
+using RotatedGradients = RotatedGradientsOf<Vec>;
+
+template <class Scalar>
+ALWAYS_INLINE auto loadGradients(const Scalar* p)
+{
+  using V = decltype(load(p));
+  RotatedGradientsOf<V> g;
+  for (int a = 0; a < 3; ++a)
+  {
+    g.r[a + 1] = {load(p + (3L * a) * LANES), load(p + (3L * a + 1) * LANES), load(p + (3L * a + 2) * LANES)};
+  }
+  const Vec3Of<V> sum = g.r[1] + g.r[2] + g.r[3];
+  g.r[0] = {-sum.x, -sum.y, -sum.z};
+  return g;
+}
+
+/**
+ * Stress of the strain sym(sum_d u_d r_d^T) - identity, u_d measured from u_0, which sum_d r_d = 0 allows and which
+ * keeps a body far from the origin exact. Adds the strain's trace to `dilatation`.
+ */
+template <class V>
+ALWAYS_INLINE SymOf<V> stress(const RotatedGradientsOf<V>& g, const Vec3Of<V>& u1, const Vec3Of<V>& u2,
+                              const Vec3Of<V>& u3, double identity, V lambda, V mu, V& dilatation)
+{
+  const V one = all<V>(identity);
+  const Vec3Of<V>&a = g.r[1], &b = g.r[2], &c = g.r[3];
+  const V exx = u1.x * a.x + u2.x * b.x + u3.x * c.x - one;
+  const V eyy = u1.y * a.y + u2.y * b.y + u3.y * c.y - one;
+  const V ezz = u1.z * a.z + u2.z * b.z + u3.z * c.z - one;
+  const V exy = u1.x * a.y + u2.x * b.y + u3.x * c.y + u1.y * a.x + u2.y * b.x + u3.y * c.x;
+  const V exz = u1.x * a.z + u2.x * b.z + u3.x * c.z + u1.z * a.x + u2.z * b.x + u3.z * c.x;
+  const V eyz = u1.y * a.z + u2.y * b.z + u3.y * c.z + u1.z * a.y + u2.z * b.y + u3.z * c.y;
+  const V trace = exx + eyy + ezz, pressure = lambda * trace, two_mu = mu + mu;
+  dilatation += trace;
+  return {pressure + two_mu * exx, mu * exy, mu * exz, pressure + two_mu * eyy, mu * eyz, pressure + two_mu * ezz};
+}
+
+template <class V>
+inline void addPressure(SymOf<V>& s, V pressure)
+{
+  s.xx += pressure;
+  s.yy += pressure;
+  s.zz += pressure;
+}
+
+/** Local control point (a,b); bernstein.h has the same table for the rest of the library. */
+constexpr int POINT[4][4] = {{0, 4, 5, 6}, {4, 1, 7, 8}, {5, 7, 2, 9}, {6, 8, 9, 3}};
+
+/** The sum of the points (c,d) over c. */
+template <class V>
+inline Vec3Of<V> columnSum(const Vec3Of<V>* u, int d)
+{
+  return u[POINT[0][d]] + u[POINT[1][d]] + u[POINT[2][d]] + u[POINT[3][d]];
+}
+
+/**
+ * f = K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V. The part `mean`
+ * of lambda acts on the element's mean dilatation, the rest at every point.
+ * @param rotated  rotated gradients, POINTS times 9 rows of LANES
+ */
+template <int NODES, int POINTS, bool MEAN, class Scalar, class V>
+ALWAYS_INLINE void elasticForce(const Scalar* rotated, const Vec3Of<V>* u, double identity, V lambda, V mu, V mean,
+                                Vec3Of<V>* f)
+{
+  V dilatation = V{};
+  if constexpr (MEAN) lambda -= mean;
+  if constexpr (NODES == 4)
+  {
+    const RotatedGradientsOf<V> g = loadGradients(rotated);
+    const SymOf<V> s = stress(g, u[1] - u[0], u[2] - u[0], u[3] - u[0], identity, lambda, mu, dilatation);
+    for (int a = 0; a < 4; ++a) f[a] = s * g.r[a];
+  }
+  else if constexpr (POINTS == 1)
+  {
+    // F_c = 2 sum_d x_cd g_d^T; Q_a = V/20 (s_a + sum_c s_c); the factors 2 of F_c and of f are put together: stress()
+    // works on half the strain, with half the identity, and 2 * 2 / 20 = 1/5 goes to lambda and mu.
+    const RotatedGradientsOf<V> g = loadGradients(rotated);
+    lambda = lambda * all<V>(0.2);
+    mu = mu * all<V>(0.2);
+    SymOf<V> q[4];
+    for (int c = 0; c < 4; ++c)
+    {
+      const Vec3Of<V>& origin = u[POINT[c][0]];
+      q[c] = stress(g, u[POINT[c][1]] - origin, u[POINT[c][2]] - origin, u[POINT[c][3]] - origin, 0.5 * identity,
+                    lambda, mu, dilatation);
+    }
+    SymOf<V> sum = q[0] + q[1] + q[2] + q[3];
+    // A constant pressure p gives 2 Q_a = V p/2, and p is `mean` times a quarter of the sum of the dilatations, of
+    // which half is here.
+    if constexpr (MEAN) addPressure(sum, all<V>(0.25) * mean * dilatation);
+    for (int c = 0; c < 4; ++c) q[c] = q[c] + sum;
+    for (int a = 0; a < 4; ++a)
+    {
+      f[a] = q[a] * g.r[a];
+      for (int b = a + 1; b < 4; ++b) f[POINT[a][b]] = q[a] * g.r[b] + q[b] * g.r[a];
+    }
+  }
+  else
+  {
+    // At point q, F = 2 sum_d z_d g_d^T with z_d = sum_c lambda_c x_cd, and with t_d = s R g_d a quarter of V times
+    // 2 (lambda_a t_b + lambda_b t_a) goes to f_ab. Again half the strain; 2 * 2 / 4 = 1.
+    const V far = all<V>(FAR), above = all<V>(NEAR - FAR);
+    Vec3Of<V> sum[4], t[4][4], total[4] = {};
+    SymOf<V> s[4];
+    for (int d = 0; d < 4; ++d) sum[d] = far * columnSum(u, d);
+    for (int q = 0; q < 4; ++q)
+    {
+      const RotatedGradientsOf<V> g = loadGradients(rotated + 9L * q * LANES);
+      Vec3Of<V> z[4];
+      for (int d = 0; d < 4; ++d) z[d] = sum[d] + above * u[POINT[q][d]];
+      s[q] = stress(g, z[1] - z[0], z[2] - z[0], z[3] - z[0], 0.5 * identity, lambda, mu, dilatation);
+    }
+    for (int q = 0; q < 4; ++q)
+    {
+      const RotatedGradientsOf<V> g = loadGradients(rotated + 9L * q * LANES);
+      if constexpr (MEAN) addPressure(s[q], all<V>(0.25) * mean * dilatation);
+      for (int d = 0; d < 4; ++d)
+      {
+        t[q][d] = s[q] * g.r[d];
+        total[d] = total[d] + t[q][d];
+        t[q][d] = above * t[q][d];
+      }
+    }
+    for (int d = 0; d < 4; ++d) total[d] = far * total[d];
+    for (int a = 0; a < 4; ++a)
+    {
+      f[a] = t[a][a] + total[a];
+      for (int b = a + 1; b < 4; ++b) f[POINT[a][b]] = t[a][b] + t[b][a] + total[a] + total[b];
+    }
+  }
+}
+
+/** f += m M u / (rho V), with the exact integrals of products of basis functions; mass is m rho V. */
+template <int NODES, class V>
+ALWAYS_INLINE void addMass(const Vec3Of<V>* u, V mass, Vec3Of<V>* f)
+{
+  if constexpr (NODES == 4)
+  {
+    const V scale = mass * all<V>(1.0 / 20);
+    const Vec3Of<V> sum = u[0] + u[1] + u[2] + u[3];
+    for (int a = 0; a < 4; ++a) f[a] = f[a] + scale * (sum + u[a]);
+  }
+  else
+  {
+    const V scale = mass * all<V>(1.0 / 210);
+    Vec3Of<V> t[4];
+    for (int a = 0; a < 4; ++a)
+    {
+      t[a] = u[a] + u[POINT[a][0]] + u[POINT[a][1]] + u[POINT[a][2]] + u[POINT[a][3]];
+    }
+    const V half = all<V>(0.5);
+    const Vec3Of<V> sum = half * (t[0] + t[1] + t[2] + t[3]);
+    for (int a = 0; a < 4; ++a)
+    {
+      for (int b = a; b < 4; ++b) f[POINT[a][b]] = f[POINT[a][b]] + scale * (sum + t[a] + t[b] + u[POINT[a][b]]);
+    }
+  }
+}

@@ -1,0 +1,229 @@
+// What preconditions, in single precision, for kernels_impl.h, inside its unnamed namespace.
+
+/** Gathers the nodes of each element, or its corners, IN in number, and stores the shares that are made of them. */
+template <int IN, bool MEAN, class Element>
+ALWAYS_INLINE void forEachSingle(const SingleElements& e, int begin, int end, const float* x, float* shares,
+                                 const Element& element)
+{
+  using V = SingleVec;
+  for (int block = begin; block < end; ++block)
+  {
+    for (int part = 0; part < LANES; part += SINGLE_WIDTH)
+    {
+      const int* from = (IN == 4 ? e.corner_gather : e.gather) + static_cast<long>(block) * IN * LANES + part;
+      const float* c = e.coefficients + 3L * block * LANES + part;
+      V mean = {};
+      if constexpr (MEAN) mean = load(e.mean + static_cast<long>(block) * LANES + part);
+      Vec3Of<V> in[IN], out[10];
+      for (int k = 0; k < IN; ++k) in[k] = gather(x, from + static_cast<long>(k) * LANES);
+      element(e.rotated + 9L * block * LANES + part, in, load(c), load(c + LANES), load(c + 2L * LANES), mean, out);
+      for (int k = 0; k < 10; ++k) storeShares(shares + SHARES * (10L * block + k), part, out[k]);
+    }
+  }
+}
+
+template <bool MEAN>
+void singleProduct(const SingleElements& elements, int begin, int end, const float* u, float* shares)
+{
+  forEachSingle<10, MEAN>(elements, begin, end, u, shares,
+                          [](const float* g, const Vec3Of<SingleVec>* in, SingleVec lambda, SingleVec mu,
+                             SingleVec mass, SingleVec mean, Vec3Of<SingleVec>* out) {
+                            elasticForce<10, 1, MEAN>(g, in, 0, lambda, mu, mean, out);
+                            addMass<10>(in, mass, out);
+                          });
+}
+
+void singleProductAny(const SingleElements& elements, int begin, int end, const float* u, float* shares)
+{
+  (elements.mean ? singleProduct<true> : singleProduct<false>)(elements, begin, end, u, shares);
+}
+
+/** One stress for the whole element, V/2 of it for r_a at (a,a) and r_a + r_b at (a,b); of the mass V/60 (c_a + c_b +
+ * sum of all c). */
+void prolongedProduct(const SingleElements& elements, int begin, int end, const float* corners, float* shares)
+{
+  using V = SingleVec;
+  forEachSingle<4, false>(
+      elements, begin, end, corners, shares,
+      [](const float* rotated, const Vec3Of<V>* c, V lambda, V mu, V mass, V /*mean*/, Vec3Of<V>* out) {
+        const V half = all<V>(0.5);
+        const auto g = loadGradients(rotated);
+        V dilatation = {};
+        const SymOf<V> s = stress(g, c[1] - c[0], c[2] - c[0], c[3] - c[0], 0, half * lambda, half * mu, dilatation);
+        const Vec3Of<V> half_total = half * (c[0] + c[1] + c[2] + c[3]);
+        const V scale = mass * all<V>(1.0 / 60);
+        Vec3Of<V> share[4], sum[4];
+        for (int a = 0; a < 4; ++a)
+        {
+          share[a] = scale * (c[a] + half_total);
+          sum[a] = s * g.r[a] + share[a];
+        }
+        for (int a = 0; a < 4; ++a)
+        {
+          out[a] = sum[a] + share[a];
+          for (int b = a + 1; b < 4; ++b) out[POINT[a][b]] = sum[a] + sum[b];
+        }
+      });
+}
+
+/** B^-1 r of SINGLE_WIDTH / 4 nodes. @param inverse  three columns of each, INVERSE_GROUP nodes side by side */
+ALWAYS_INLINE SingleVec timesInverse(const float* inverse, SingleVec r)
+{
+  constexpr int COLUMN = 4 * INVERSE_GROUP;
+  return BY_FOURS(r, r, 0, 0, 0, 0) * load(inverse) + BY_FOURS(r, r, 1, 1, 1, 1) * load(inverse + COLUMN) +
+         BY_FOURS(r, r, 2, 2, 2, 2) * load(inverse + 2L * COLUMN);
+}
+
+/** Calls f(offset of values, offset of inverses, sum of shares) for every SINGLE_WIDTH / 4 nodes. */
+template <class F>
+ALWAYS_INLINE void forEachSingleSum(const NodeShares& lists, int begin, int end, const float* shares, const F& f)
+{
+  forEachSum<SingleNode>(lists, begin, end, shares, [&](int i, const SingleNode* sum) {
+#if WIDTH == 8
+    const auto low = __builtin_shufflevector(sum[0], sum[1], 0, 1, 2, 3, 4, 5, 6, 7);
+    const auto high = __builtin_shufflevector(sum[2], sum[3], 0, 1, 2, 3, 4, 5, 6, 7);
+    f(4L * i, 12L * i, __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
+#elif WIDTH == 4
+    f(4L * i, 12L * i, __builtin_shufflevector(sum[0], sum[1], 0, 1, 2, 3, 4, 5, 6, 7));
+    f(4L * i + 8, 12L * i + 8, __builtin_shufflevector(sum[2], sum[3], 0, 1, 2, 3, 4, 5, 6, 7));
+#else
+    for (int k = 0; k < NODE_GROUP; ++k) f(4L * (i + k), 12L * i + 4L * k, sum[k]);
+#endif
+  });
+}
+
+void subtractShares(const NodeShares& lists, int begin, int end, const float* shares, float* r)
+{
+  forEachSingleSum(lists, begin, end, shares,
+                   [&](long at, long /*inverse*/, SingleVec sum) { store(r + at, load(r + at) - sum); });
+}
+
+void singleChebyshev(const NodeShares& lists, int begin, int end, float keep, float gain, const float* shares,
+                     const float* inverse, float* r, float* d, float* z)
+{
+  const SingleVec k = SingleVec{} + keep, g = SingleVec{} + gain;
+  forEachSingleSum(lists, begin, end, shares, [&](long at, long block, SingleVec sum) {
+    const SingleVec res = load(r + at) - sum;
+    store(r + at, res);
+    // What a first term has nothing to keep of may be anything.
+    SingleVec direction = g * timesInverse(inverse + block, res);
+    if (keep != 0) direction += k * load(d + at);
+    store(d + at, direction);
+    store(z + at, load(z + at) + direction);
+  });
+}
+
+/** Of products that came four numbers a node. */
+inline float total(SingleVec v)
+{
+  float sum[4] = {};
+  for (int k = 0; k < SINGLE_WIDTH; k += 4)
+  {
+    for (int c = 0; c < 4; ++c) sum[c] += v[k + c];
+  }
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+double singleSum(const NodeShares& lists, int begin, int end, const float* shares, const float* p, float* q)
+{
+  SingleVec work = {};
+  forEachSingleSum(lists, begin, end, shares, [&](long at, long /*inverse*/, SingleVec sum) {
+    store(q + at, sum);
+    work += sum * load(p + at);
+  });
+  return total(work);
+}
+
+/** Calls f(offset of values, offset of inverses) for every SINGLE_WIDTH / 4 nodes. */
+template <class F>
+ALWAYS_INLINE void forEachSingleNodes(int begin, int end, const F& f)
+{
+  for (int i = begin; i < end; i += NODE_GROUP)
+  {
+    for (int part = 0; part < 4 * NODE_GROUP; part += SINGLE_WIDTH) f(4L * i + part, 12L * i + part);
+  }
+}
+
+double singleAdvance(int begin, int end, float a, float gain, const float* p, const float* q, const float* inverse,
+                     float* x, float* r, float* s, float* d, float* z)
+{
+  SingleVec sum = {};
+  const SingleVec length = SingleVec{} + a, g = SingleVec{} + gain;
+  forEachSingleNodes(begin, end, [&](long at, long block) {
+    store(x + at, load(x + at) + length * load(p + at));
+    const SingleVec res = load(r + at) - length * load(q + at), pre = timesInverse(inverse + block, res);
+    store(r + at, res);
+    store(s + at, res);
+    store(d + at, g * pre);
+    store(z + at, g * pre);
+    sum += res * pre;
+  });
+  return total(sum);
+}
+
+double singleDot(int begin, int end, const float* a, const float* b)
+{
+  SingleVec sum = {};
+  forEachSingleNodes(begin, end, [&](long at, long /*block*/) { sum += load(a + at) * load(b + at); });
+  return total(sum);
+}
+
+void singleRedirect(int begin, int end, float b, const float* z, float* p)
+{
+  const SingleVec keep = SingleVec{} + b;
+  forEachSingleNodes(begin, end, [&](long at, long /*block*/) { store(p + at, load(z + at) + keep * load(p + at)); });
+}
+
+/** y = L x, L of `rows` x `columns`, by columns, both whole registers. */
+void panelProduct(int rows, int columns, const float* panel, const float* x, float* y)
+{
+  constexpr int STEP = 4 * SINGLE_WIDTH;
+  int i = 0;
+  for (; i + STEP <= rows; i += STEP)
+  {
+    SingleVec sum[4] = {};
+    const float* p = panel + i;
+    for (int j = 0; j < columns; ++j, p += rows)
+    {
+      const SingleVec factor = SingleVec{} + x[j];
+      for (int k = 0; k < 4; ++k) sum[k] += factor * load(p + static_cast<long>(k) * SINGLE_WIDTH);
+    }
+    for (int k = 0; k < 4; ++k) store(y + i + static_cast<long>(k) * SINGLE_WIDTH, sum[k]);
+  }
+  for (; i < rows; i += SINGLE_WIDTH)
+  {
+    SingleVec sum[2] = {};
+    const float* p = panel + i;
+    int j = 0;
+    for (; j + 1 < columns; j += 2, p += 2L * rows)
+    {
+      sum[0] += (SingleVec{} + x[j]) * load(p);
+      sum[1] += (SingleVec{} + x[j + 1]) * load(p + rows);
+    }
+    if (j < columns) sum[0] += (SingleVec{} + x[j]) * load(p);
+    store(y + i, sum[0] + sum[1]);
+  }
+}
+
+/** y = L^T x */
+void panelTransposeProduct(int rows, int columns, const float* panel, const float* x, float* y)
+{
+  int j = 0;
+  for (; j + 4 <= columns; j += 4)
+  {
+    SingleVec sum[4] = {};
+    const float* p = panel + static_cast<long>(j) * rows;
+    for (int i = 0; i < rows; i += SINGLE_WIDTH)
+    {
+      const SingleVec v = load(x + i);
+      for (int k = 0; k < 4; ++k) sum[k] += v * load(p + static_cast<long>(k) * rows + i);
+    }
+    for (int k = 0; k < 4; ++k) y[j + k] = total(sum[k]);
+  }
+  for (; j < columns; ++j)
+  {
+    SingleVec sum = {};
+    for (int i = 0; i < rows; i += SINGLE_WIDTH) sum += load(x + i) * load(panel + static_cast<long>(j) * rows + i);
+    y[j] = total(sum);
+  }
+}
