@@ -5,7 +5,6 @@
 #include <atomic>
 #include <cmath>
 
-#include "bezier_fem/p_multigrid.h"
 #include "kernels.h"
 #include "parallel.h"
 
@@ -104,7 +103,8 @@ double ConjugateGradient::relativeNorm(const Partition& partition, const NodalFi
 }
 
 SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partition& partition, const NodalField& b,
-                                     NodalField& u, double tolerance, int max_iterations, PMultigrid* multigrid)
+                                     NodalField& u, double tolerance, int max_iterations,
+                                     Preconditioner* preconditioner)
 {
   const kernels::Table& kernel = kernels::table();
   const double scale = std::max(norm(partition, b), floor_);
@@ -144,15 +144,15 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     report.converged = report.residual <= tolerance;
     if (report.converged || report.iterations >= max_iterations || !std::isfinite(norm2)) return report;
     const auto slope = [&] {
-      if (!multigrid) return norm2;
-      multigrid->apply(partition, r_, z_);
+      if (!preconditioner) return norm2;
+      preconditioner->apply(partition, r_, z_);
       return sumOverThreads(partition,
                             [&](int begin, int end) { return kernel.dot(begin, end, r_.data(), z_.data()); });
     };
     double rz = slope();
     if (!(rz > 0))
     {
-      multigrid = nullptr;  // has lost its way, as it may with every element turned inside out
+      preconditioner = nullptr;  // has lost its way, as it may with every element turned inside out
       continue;
     }
     p_.matrix() = z_.matrix();

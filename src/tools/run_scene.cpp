@@ -92,6 +92,14 @@ std::string toString(double value)
   return text.str();
 }
 
+const char* nameOf(Scene::Solver::Preconditioner preconditioner)
+{
+  using Preconditioner = Scene::Solver::Preconditioner;
+  return preconditioner == Preconditioner::DIRECT       ? "direct"
+         : preconditioner == Preconditioner::PMULTIGRID ? "pmultigrid"
+                                                        : "block_jacobi";
+}
+
 class Run
 {
 public:
@@ -198,7 +206,7 @@ private:
 
   long steps_ = 0, substeps_ = 0, substepped_ = 0, second_order_ = 0;
   bool converged_ = true, finite_ = true;
-  bool multigrid_ = false;
+  Scene::Solver::Preconditioner preconditioner_ = Scene::Solver::Preconditioner::BLOCK_JACOBI;
   double residual_ = 0, turn_ = 0, kinetic_ = 0, kinetic_peak_ = 0;
   std::vector<double> iterations_;
   std::array<std::vector<double>, 6> ms_;  // rotation, assembly, force, solve, surface, total
@@ -209,7 +217,8 @@ private:
     finite_ = finite_ && report.finite;
     residual_ = std::max(residual_, report.residual);
     turn_ = std::max(turn_, report.turn);
-    multigrid_ = multigrid_ || report.multigrid;
+    using Preconditioner = Scene::Solver::Preconditioner;
+    if (report.preconditioner != Preconditioner::BLOCK_JACOBI) preconditioner_ = report.preconditioner;
     substeps_ += report.substeps;
     substepped_ += report.substeps > 1;
     second_order_ += report.second_order;
@@ -297,7 +306,7 @@ private:
                         {"surface", median(ms_[4])},
                         {"total", median(ms_[5])}};
     j["iterations"] = median(iterations_);
-    j["preconditioner"] = multigrid_ ? "pmultigrid" : "block_jacobi";
+    j["preconditioner"] = nameOf(preconditioner_);
     j["residual"] = residual_;
     const Energies energy = simulation_.energies();
     j["energy"] = {{"kinetic", energy.kinetic}, {"elastic", energy.elastic}, {"gravity", energy.gravity}};

@@ -236,7 +236,7 @@ class RunScene(unittest.TestCase):
                 ([], "SCENE"),
                 ([BAR, "--set", "material.poisson=0.5"], "material.poisson"),
                 ([BAR, "--set", "no_such_key=1"], "no_such_key"),
-                ([BAR, "--set", "solver.preconditioner=direct"], "not available yet"),
+                ([BAR, "--set", "solver.preconditioner=ilu"], "block_jacobi, pmultigrid, direct"),
                 ([BAR, "--set", "integrator=explicit", "--set", "material.young=1.0e+14"], "time_step: is 0.02 s"),
                 ([BAR, "--set", "fixed[0].frame=hand"], "frame"),
                 ([BAR, "--set", "fixed[0].box={min: [5,5,5], max: [6,6,6]}"], "fixed[0]"),
