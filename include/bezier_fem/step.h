@@ -62,6 +62,7 @@ struct StepReport
   double residual = 0;        // worst (sub-)step, relative, as the tolerance measures it
   bool converged = true;      // every residual within the tolerance
   bool finite = true;         // false: the state is lost
+  bool asleep = false;        // nothing was computed, because the body is at rest: 0 sub-steps
   bool second_order = false;  // done by SDIRK2
   /** What the last system was solved with that was not left to the diagonal blocks alone; never AUTO. */
   Scene::Solver::Preconditioner preconditioner = Scene::Solver::Preconditioner::BLOCK_JACOBI;

@@ -123,7 +123,7 @@ private:
 
   struct Period  // since the last diagnostics
   {
-    long steps = 0, not_converged = 0;
+    long steps = 0, asleep = 0, not_converged = 0;
     int substeps = 0, iterations = 0;  // largest
     double residual = 0, longest_ms = 0, total_ms = 0;
   } period_;

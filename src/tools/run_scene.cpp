@@ -204,7 +204,7 @@ private:
   Eigen::Matrix3Xd surface_, normals_;
   long surfaces_ = 0;  // files written
 
-  long steps_ = 0, substeps_ = 0, substepped_ = 0, second_order_ = 0;
+  long steps_ = 0, substeps_ = 0, substepped_ = 0, second_order_ = 0, asleep_ = 0;
   bool converged_ = true, finite_ = true;
   Scene::Solver::Preconditioner preconditioner_ = Scene::Solver::Preconditioner::BLOCK_JACOBI;
   double residual_ = 0, turn_ = 0, kinetic_ = 0, kinetic_peak_ = 0;
@@ -222,6 +222,8 @@ private:
     substeps_ += report.substeps;
     substepped_ += report.substeps > 1;
     second_order_ += report.second_order;
+    asleep_ += report.asleep;
+    if (report.asleep) return;  // medians are of steps that were computed
     iterations_.push_back(report.iterations);
     double surface_ms = 0;
     if (simulation_.scene().surface_file)
@@ -296,6 +298,7 @@ private:
     j["substeps"] = substeps_;
     j["substepped_steps"] = substepped_;
     j["sdirk2_steps"] = second_order_;
+    j["asleep_steps"] = asleep_;
     j["largest_turn"] = turn_;
     j["threads"] = options_.threads;
     j["ms_per_step"] = {{"rotation", median(ms_[0])},
