@@ -59,6 +59,7 @@ bool TurnedFactor::factor(const Rotations& rotations, const Rotations& frames, c
   fewest_ = -1;
   excess_ = 0;
   meanRotations(frames, factored_frames_);
+  turned_to_.clear();
   system_.assemble(rotations, alpha, beta);
   AssembledMatrix& matrix = system_.matrix();
   hold(held, matrix);
@@ -112,6 +113,8 @@ void TurnedFactor::meanRotations(const Rotations& rotations, AlignedVector<float
 
 void TurnedFactor::turn(const Rotations& rotations)
 {
+  if (rotations.matrices == turned_to_) return;  // linear elasticity's never turn
+  turned_to_ = rotations.matrices;
   meanRotations(rotations, frames_);
   for (std::size_t i = 0; i < frames_.size(); i += 9)
   {

@@ -66,7 +66,8 @@ private:
   bool valid_ = false;
   double alpha_ = 0, beta_ = 0;
   HeldAxes held_;
-  int fewest_ = -1, excess_ = 0;  // iterations: with a new factor, and above that since
+  int fewest_ = -1, excess_ = 0;     // iterations: with a new factor, and above that since
+  AlignedVector<double> turned_to_;  // Rotations::matrices
   AlignedVector<float> factored_frames_;
   AlignedVector<float> frames_;        // 9 a node, by columns
   AlignedVector<float> right_, left_;  // 4 a node

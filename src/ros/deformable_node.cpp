@@ -423,7 +423,9 @@ void DeformableNode::diagnoseSimulation(diagnostic_updater::DiagnosticStatusWrap
   status.addf("largest residual", "%.3g", period_.residual);
   status.add("steps not converged", period_.not_converged);
   status.add("inverted elements", inverted);
+  status.add("messages computed", outputs_.published() - published_told_);
   dropped_told_ = dropped;
+  published_told_ = outputs_.published();
   period_ = {};
 }
 

@@ -226,7 +226,7 @@ private:
     if (report.asleep) return;  // medians are of steps that were computed
     iterations_.push_back(report.iterations);
     double surface_ms = 0;
-    if (simulation_.scene().surface_file)
+    if (summary_ && simulation_.scene().surface_file)
     {
       const auto start = std::chrono::steady_clock::now();
       simulation_.evaluateSurface(surface_, &normals_);

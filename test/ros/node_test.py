@@ -156,6 +156,22 @@ class NodeTest(unittest.TestCase):
         self.assertClose(held, -np.array(force), 0.001 * 2)
         self.assertClose(torque, -np.cross(self.body.probe(state, 'tip'), force), 0.01 * 2)
 
+    def test_a_body_at_rest_sleeps_until_it_is_pulled(self):
+        self.body.pull(TIP, force=(2, 0, 0))
+        self.body.wait_acting(1)
+        rest = self.body.step(SETTLED)
+        self.assertEqual((rest.substeps, rest.iterations, rest.kinetic_energy), (0, 0, 0))
+        held, _ = self.body.wall()
+        later = self.body.step(10)
+        self.assertEqual(later.points, rest.points)
+        self.assertAlmostEqual(later.time, rest.time + 0.2)
+        self.assertClose(self.body.wall()[0], held, 1e-12)
+        self.body.pull(TIP, force=(0, 3, 0), name='other')
+        self.body.wait_acting(2)
+        pulled = self.body.step(5)
+        self.assertGreater(pulled.iterations, 0)
+        self.assertGreater(self.body.probe(pulled, 'tip')[1], self.body.probe(rest, 'tip')[1] + 1e-4)
+
     def test_torque_is_taken_up_by_the_support(self):
         torque = np.array([0.1, -0.2, 0.3])
         self.body.pull(TIP, torque=torque)
