@@ -105,9 +105,12 @@ void TurnedFactor::meanRotations(const Rotations& rotations, AlignedVector<float
     Eigen::Map<Eigen::Matrix3f> frame(frames.data() + i);
     const float size = frame.squaredNorm();
     if (!(size > 0)) continue;
-    // Towards the nearest rotation (Newton and Schulz): near enough, as any regular frame will do.
-    frame *= std::sqrt(3 / size);
+    // Towards the nearest rotation (Newton and Schulz): near enough, as any regular frame will do. The mean of very
+    // different rotations needs more care.
+    const Eigen::Matrix3f mean = std::sqrt(3 / size) * frame;
+    frame = mean;
     for (int k = 0; k < 2; ++k) frame = (1.5f * frame - 0.5f * frame * (frame.transpose() * frame)).eval();
+    if (!frame.isUnitary(0.1f)) frame = polarRotation(mean.cast<double>(), Eigen::Matrix3d::Identity()).cast<float>();
   }
 }
 

@@ -179,6 +179,23 @@ TEST_P(Multigrid, TheWholeSystemsFactorIsItsInverseAndServesTurnedOnes)
   }
 }
 
+TEST_P(Multigrid, AFactorIsOfAScrambledBodyToo)
+{
+  // Rotations around a node are so different that their mean is hardly one.
+  const NodalField x = test::randomField(model.num_nodes, 7);
+  const Rotations before = rotations;
+  AlignedVector<double> turned(rotations.flags.size());
+  updateRotations(model, partition, x, before, rotations, turned);
+  const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
+  ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
+  DirectPreconditioner direct(model);
+  ASSERT_TRUE(direct.prepare(system, model, rotations, held, 1, 4e-4, solver.inverse()));
+  NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes);
+  const SolveReport report = solver.solve(system, partition, b, u, 1e-6, 1000, &direct);
+  EXPECT_TRUE(report.converged);
+  EXPECT_LE(report.iterations, 20);
+}
+
 TEST(MultigridSteps, AreTheSameAfterAReset)
 {
   const Model model = test::boxModel(test::irregularBox({4, 4, 8}, {0.4, 0.4, 1.0}), Element::QUADRATIC, STIFF);
