@@ -18,7 +18,7 @@ constexpr int PATIENCE = 60;
 constexpr int PATIENCE_ONCE = 200;
 /** Of the linear elements: beyond, their factor is no longer cheap to apply. */
 constexpr int MOST_VERTICES = 7000;
-/** Beyond, the factor of the whole system takes longer to apply than multigrid's dozen iterations. */
+/** Of the whole system: beyond, its factor leaves the caches, and takes half a second to make. */
 constexpr int MOST_NODES = 3000;
 
 /** What is tried beside the diagonal blocks. */
