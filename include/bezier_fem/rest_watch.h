@@ -1,5 +1,7 @@
 #pragma once
 
+#include <array>
+
 #include "bezier_fem/model.h"
 #include "bezier_fem/nodal_field.h"
 
@@ -14,7 +16,8 @@ namespace bezier_fem
  * largest speed V of a control point in each. Of the first turning point that a swing of amplitude A comes to, the span
  * before it has V t > 0.27 A, of later ones more. A creep whose V falls by a tenth from span to span has no farther to
  * go than 3.2 V t. Rest is: V t at most a part of the body's size in three spans running, V falling by a tenth in each,
- * and the loads the same. What is left is then at most 4 V t.
+ * and the loads the same. What is left is then at most 4 V t. Stiff bodies tremble for ever as rounding has it: where
+ * V would not go that way in a day it is enough that it is no larger than in one of the three spans before.
  */
 class RestWatch
 {
@@ -47,7 +50,8 @@ private:
   NodalField load_;                   // of the last span's end
   double time_ = 0, span_begin_ = 0;  // s since it was let go
   int steps_ = 0;                     // of the span
-  double fastest_ = 0, before_ = 0;   // V of the span, and of the last one, m/s
+  double fastest_ = 0;                // V of the span, m/s
+  std::array<double, 3> before_{};    // and of those before, the last one last
   bool solved_ = true;
   int spans_ = 0;  // in which it was at rest
   bool asleep_ = false;

@@ -84,6 +84,7 @@ TEST_F(RestWatchTest, ACreepingBodyIsNotFrozen)
     }
   }
   EXPECT_EQ(sleepsAt([](double) { return 1e-9; }, 0.02, 1e3), std::numeric_limits<double>::infinity());
+  EXPECT_LT(sleepsAt([](double t) { return 1e-13 * (1 + std::sin(1e3 * t)); }, 0.02, 1e3), 10);  // trembling
   // Falling over: from nothing, but faster and faster.
   EXPECT_EQ(sleepsAt([](double t) { return 1e-15 * std::exp(t); }, 0.02, 30), std::numeric_limits<double>::infinity());
   // A body that rings and creeps: the creep shows when the ringing is gone.
@@ -163,6 +164,15 @@ TEST_F(Sleep, EveryLawAndIntegratorComesToTheEquilibriumAndStaysThere)
     Simulation statics = simulation({kind, "solver.tolerance=1.0e-9"});
     EXPECT_TRUE(statics.solveStatic().converged);
     EXPECT_LT((statics.state().x.matrix() - x.matrix()).colwise().norm().maxCoeff(), MAY_REMAIN) << kind;
+  }
+}
+
+TEST_F(Sleep, AStiffBodySleepsThoughRoundingShakesIt)
+{
+  for (const char* young : {"1.0e+8", "1.0e+9", "1.0e+12"})
+  {
+    Simulation body = simulation({"damping.mass=0", std::string("material.young=") + young});
+    EXPECT_LT(stepsAwake(body), 500) << young;
   }
 }
 
