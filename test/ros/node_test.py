@@ -322,8 +322,8 @@ class NodeTest(unittest.TestCase):
         self.body.pull(TIP, force=(10, 0, 0))
         self.body.wait_acting(1)
         state = self.body.step(SETTLED)
-        stress.clear()
-        markers = stress.wait('markers').markers
+        # Not one of before, that has been on its way
+        markers = stress.wait('markers', lambda m: m.markers[0].header.stamp >= state.header.stamp).markers
         body, = [m for m in markers if m.ns == 'stress']
         self.assertEqual(len(body.colors), len(body.points))
         self.assertEqual(len(body.points) % 3, 0)
@@ -335,8 +335,7 @@ class NodeTest(unittest.TestCase):
         bending = 10 * 1.0 * 0.2 / (0.4 ** 4 / 12)  # Pa, M c / I at the wall
         self.assertGreater(max(state.von_mises), 0.7 * bending)
         self.assertLess(max(state.von_mises), 2 * bending)
-        surface.clear()
-        plain = surface.wait('marker')
+        plain = surface.wait('marker', lambda m: m.header.stamp >= state.header.stamp)
         self.assertEqual(plain.type, Marker.TRIANGLE_LIST)
         self.assertTrue(np.allclose([xyz(p) for p in plain.points], [xyz(p) for p in body.points]))
 
