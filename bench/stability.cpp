@@ -31,7 +31,7 @@ public:
         state_(simulation.state()),
         partition_(model_, 1),
         solver_(model_, partition_),
-        force_(partition_.rows()),
+        force_(model_.num_nodes),
         rhs_(model_.num_nodes),
         change_(model_.num_nodes),
         led_(model_.num_nodes)

@@ -19,6 +19,8 @@ public:
 
   void assemble(const Rotations& rotations, double alpha, double beta);
   void assemble(const GreenTangent& tangent, double alpha, double beta);
+  /** What was assembled last; may be changed until the next time. */
+  AssembledMatrix& matrix() { return matrix_; }
 
   void product(const NodalField& u, NodalField& out) const override { matrix_.product(partition_, u, out); }
   void diagonal(AlignedVector<double>& blocks) const override { matrix_.diagonal(blocks); }

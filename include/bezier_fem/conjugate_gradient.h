@@ -1,17 +1,11 @@
 #pragma once
 
-#include <cstdint>
 #include <vector>
 
-#include "bezier_fem/system_operator.h"
+#include "bezier_fem/preconditioner.h"
 
 namespace bezier_fem
 {
-class PMultigrid;
-
-/** Which components of which nodes are held: bit 0, 1, 2 for x, y, z of each node. */
-using HeldAxes = std::vector<std::uint8_t>;
-
 /** What became of a linear system. */
 struct SolveReport
 {
@@ -23,7 +17,7 @@ struct SolveReport
 
 /**
  * Conjugate gradients for A u = b on the components that are not held, preconditioned by the inverse of the system's
- * 3x3 diagonal blocks B or by multigrid. With either, the residual is measured as sqrt(r^T B^-1 r), which strong
+ * 3x3 diagonal blocks B or by what is given. With either, the residual is measured as sqrt(r^T B^-1 r), which strong
  * contrasts of mass or stiffness do not distort, and it has converged when that is at most tolerance * max(sqrt(b^T
  * B^-1 b), floor), floor being the same of the right-hand side of a uniform acceleration (prepare()). The residual
  * counts from b - A u computed afresh at the end; if rounding had let it drift, the iteration goes on from there.
@@ -46,10 +40,10 @@ public:
    * @param system  that of the last prepare()
    * @param b  right-hand side; its held components are not looked at
    * @param u  start value with held components zero, then the solution
-   * @param multigrid  prepared for the same system, or null
+   * @param preconditioner  prepared for the same system; null: the diagonal blocks
    */
   SolveReport solve(const SystemOperator& system, const Partition& partition, const NodalField& b, NodalField& u,
-                    double tolerance, int max_iterations, PMultigrid* multigrid = nullptr);
+                    double tolerance, int max_iterations, Preconditioner* preconditioner = nullptr);
 
   /** B^-1 on the components that are not held, 0 on the others: 12 doubles a node, three columns of x, y, z, 0. */
   const AlignedVector<double>& inverse() const { return inverse_; }

@@ -126,7 +126,8 @@ struct Scene
     {
       AUTO,
       BLOCK_JACOBI,
-      PMULTIGRID
+      PMULTIGRID,
+      DIRECT
     } preconditioner = Preconditioner::AUTO;
     enum class Operator
     {

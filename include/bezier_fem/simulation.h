@@ -12,6 +12,7 @@
 #include "bezier_fem/embedding.h"
 #include "bezier_fem/measures.h"
 #include "bezier_fem/model.h"
+#include "bezier_fem/rest_watch.h"
 #include "bezier_fem/scene.h"
 #include "bezier_fem/step.h"
 
@@ -47,7 +48,10 @@ public:
    */
   Simulation(Scene scene, int threads, const Log& log);
 
-  /** One time step of the scene's length. */
+  /**
+   * One time step of the scene's length. A body that has come to rest (RestWatch) sleeps: time goes on, its speed is
+   * zero, and everything else stays as it is, until a load, a support, the material or the state changes.
+   */
   StepReport step();
 
   /**
@@ -112,9 +116,12 @@ private:
   StepSettings settings_;
   State state_;
   std::unique_ptr<Workspace> workspace_;
+  std::unique_ptr<RestWatch> rest_;
+  int inverted_ = 0;  // elements, after the last step that was computed
 
   std::vector<Material> materials(const Material& base) const;
   void checkExplicit() const;
+  bool staysAsleep();
   void addSpin();
 };
 

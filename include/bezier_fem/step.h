@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "bezier_fem/boundary_conditions.h"
@@ -16,7 +17,7 @@
 namespace bezier_fem
 {
 class AssembledSystem;
-class PMultigrid;
+class Preconditioner;
 class SpectralBound;
 struct GreenTangent;
 struct NewtonMemory;
@@ -61,8 +62,10 @@ struct StepReport
   double residual = 0;        // worst (sub-)step, relative, as the tolerance measures it
   bool converged = true;      // every residual within the tolerance
   bool finite = true;         // false: the state is lost
+  bool asleep = false;        // nothing was computed, because the body is at rest: 0 sub-steps
   bool second_order = false;  // done by SDIRK2
-  bool multigrid = false;     // whether a system was solved with p-multigrid, not with the diagonal blocks alone
+  /** What the last system was solved with that was not left to the diagonal blocks alone; never AUTO. */
+  Scene::Solver::Preconditioner preconditioner = Scene::Solver::Preconditioner::BLOCK_JACOBI;
   StageTimes ms;
 };
 
@@ -85,10 +88,17 @@ struct Workspace
   NodalField load, force, rhs, led, change, last_change, last_but_one_change, x_before, v_before, predicted;
   Rotations candidate, stage_rotations;
   AlignedVector<double> turned;
-  int history = 0;                             // how many steps before now last_change and last_but_one_change tell of
-  bool history_is_of_stages = false;           // of sdirk2Step(): they are the changes of v in its stages
-  std::unique_ptr<PMultigrid> multigrid;       // since it was first wanted
-  bool multigrid_failed = false;               // not to be tried again
+  int history = 0;                    // how many steps before now last_change and last_but_one_change tell of
+  bool history_is_of_stages = false;  // of sdirk2Step(): they are the changes of v in its stages
+  std::unique_ptr<Preconditioner> preconditioner;  // beyond the diagonal blocks, since it was first wanted
+  Scene::Solver::Preconditioner preconditioner_kind = Scene::Solver::Preconditioner::BLOCK_JACOBI;
+  bool preconditioner_failed = false;  // not to be tried again
+  struct PreparedSystem
+  {
+    double alpha, beta, load_floor;
+    HeldAxes held;
+  };
+  std::optional<PreparedSystem> prepared;      // of linear elasticity, what solver and assembled are prepared for
   std::unique_ptr<AssembledSystem> assembled;  // where the settings ask for a matrix
   std::unique_ptr<SpectralBound> bound;        // of explicit steps
   std::unique_ptr<GreenTangent> green;         // of explicit steps of Green's strain

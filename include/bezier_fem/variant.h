@@ -68,7 +68,7 @@ struct Recording
   double iterations = 0;     // of the linear solver: median a step; in all in statics
   double residual = 0;       // worst, as the tolerance measures it
   double ms_per_step = 0;    // wall clock, median; in statics of the whole solve
-  double ms_per_second = 0;  // wall clock of all steps per simulated second, ms/s; 0 in statics
+  double ms_per_second = 0;  // wall clock of the steps per simulated second, ms/s; 0 in statics
   bool starts_at_rest = true;
 
   BodyPoints body;

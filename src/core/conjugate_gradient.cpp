@@ -6,7 +6,6 @@
 #include <cmath>
 #include <limits>
 
-#include "bezier_fem/p_multigrid.h"
 #include "kernels.h"
 #include "parallel.h"
 
@@ -99,7 +98,8 @@ double ConjugateGradient::relativeNorm(const Partition& partition, const NodalFi
 }
 
 SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partition& partition, const NodalField& b,
-                                     NodalField& u, double tolerance, int max_iterations, PMultigrid* multigrid)
+                                     NodalField& u, double tolerance, int max_iterations,
+                                     Preconditioner* preconditioner)
 {
   const kernels::Table& kernel = kernels::table();
   const double scale = std::max(norm(partition, b), floor_);
@@ -140,25 +140,25 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     report.converged = report.residual <= tolerance;
     if (report.converged || report.iterations >= max_iterations || !std::isfinite(norm2)) return report;
     const double target = tolerance * scale;
-    if (multigrid && multigrid->improves() && report.residual < 0.5 * residual_before)
+    if (preconditioner && preconditioner->improves() && report.residual < 0.5 * residual_before)
     {
       // What single precision can do at once is three digits or so. A little below the target, so that its rounding
       // does not cost a second round.
       residual_before = report.residual;
-      report.iterations += multigrid->improve(r_, std::max(0.9 * target, 1e-3 * std::sqrt(norm2)),
+      report.iterations += preconditioner->improve(r_, std::max(0.9 * target, 1e-3 * std::sqrt(norm2)),
                                               max_iterations - report.iterations, u);
       continue;
     }
     const auto slope = [&] {
-      if (!multigrid) return norm2;
-      multigrid->apply(r_, z_);
+      if (!preconditioner) return norm2;
+      preconditioner->apply(r_, z_);
       return sum(partition, [&](int begin, int end) { return kernel.dot(begin, end, r_.data(), z_.data()); });
     };
     double rz = slope();
     if (!(rz > 0))
     {
-      if (!multigrid) return report;
-      multigrid = nullptr;  // has lost its way, as it may with every element turned inside out
+      if (!preconditioner) return report;
+      preconditioner = nullptr;  // has lost its way, as it may with every element turned inside out
       continue;
     }
     p_.matrix() = z_.matrix();

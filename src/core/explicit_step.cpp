@@ -33,6 +33,7 @@ public:
         report_(report),
         mass_(model, workspace.partition, state.rotations, 1, 0)
   {
+    w_.prepared.reset();
     w_.solver.prepare(mass_, model_, w_.partition, supports_.held, 1e-3 * settings_.time_step);
     watch_.lap(report_.ms.assembly);
   }

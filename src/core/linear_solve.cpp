@@ -3,47 +3,104 @@
 #include <algorithm>
 
 #include "bezier_fem/p_multigrid.h"
+#include "direct_preconditioner.h"
+#include "forces.h"
 
 namespace bezier_fem
 {
 namespace
 {
+using Kind = Scene::Solver::Preconditioner;
+
 /** Iterations with the diagonal blocks that cost about as much as multigrid's dozen. */
 constexpr int PATIENCE = 60;
 /** The same where the factor may not serve again. */
 constexpr int PATIENCE_ONCE = 200;
 /** Of the linear elements: beyond, their factor is no longer cheap to apply. */
 constexpr int MOST_VERTICES = 7000;
+/** Of the whole system: beyond, its factor leaves the caches, and takes half a second to make. */
+constexpr int MOST_NODES = 3000;
+
+/** What is tried beside the diagonal blocks. */
+Kind kindOf(const Model& model, Kind wanted, Serves serves)
+{
+  if (wanted != Kind::AUTO) return wanted;
+  if (serves == Serves::ALWAYS && model.num_nodes <= MOST_NODES) return Kind::DIRECT;
+  return model.num_corners <= MOST_VERTICES ? Kind::PMULTIGRID : Kind::BLOCK_JACOBI;
+}
+
+void make(Kind kind, const Model& model, Workspace& w)
+{
+  if (w.preconditioner && w.preconditioner_kind == kind) return;
+  if (kind == Kind::DIRECT)
+  {
+    w.preconditioner = std::make_unique<DirectPreconditioner>(model);
+  }
+  else
+  {
+    w.preconditioner = std::make_unique<PMultigrid>(model, w.partition);
+  }
+  w.preconditioner_kind = kind;
+}
 }  // namespace
+
+const SystemOperator& prepareSystem(const Model& model, const StepSettings& settings, const Supports& supports,
+                                    const MatrixFreeSystem<Rotations>& matrix_free, const Rotations& rotations,
+                                    double alpha, double beta, double load_floor, Workspace& w)
+{
+  const bool linear = settings.elasticity == Elasticity::LINEAR;
+  const auto& last = w.prepared;
+  if (linear && last && last->alpha == alpha && last->beta == beta && last->load_floor == load_floor &&
+      last->held == supports.held)
+  {
+    if (w.assembled) return *w.assembled;
+    return matrix_free;
+  }
+  const SystemOperator& system = systemOf(matrix_free, rotations, alpha, beta, w);
+  w.solver.prepare(system, model, w.partition, supports.held, load_floor);
+  if (linear) w.prepared = Workspace::PreparedSystem{alpha, beta, load_floor, supports.held};
+  return system;
+}
 
 void solveLinear(const Model& model, const StepSettings& settings, const Supports& supports, const Rotations& rotations,
                  const SystemOperator& system, double alpha, double beta, double tolerance, int max_iterations,
-                 bool lasting, Workspace& w, StepReport& report)
+                 Serves serves, Workspace& w, StepReport& report)
 {
-  using Preconditioner = Scene::Solver::Preconditioner;
-  const Preconditioner wanted = settings.solver.preconditioner;
-  const bool possible = !w.multigrid_failed && wanted != Preconditioner::BLOCK_JACOBI &&
-                        (wanted == Preconditioner::PMULTIGRID || model.num_corners <= MOST_VERTICES);
+  const Kind wanted = settings.solver.preconditioner, kind = kindOf(model, wanted, serves);
+  const bool possible = kind != Kind::BLOCK_JACOBI && !w.preconditioner_failed;
+  const bool lasting = serves != Serves::ONCE;
   int iterations = 0;
   SolveReport solved;
-  const auto solve = [&](PMultigrid* multigrid, int limit) {
-    solved = w.solver.solve(system, w.partition, w.rhs, w.change, tolerance, limit, multigrid);
+  const auto solve = [&](Preconditioner* preconditioner, int limit) {
+    solved = w.solver.solve(system, w.partition, w.rhs, w.change, tolerance, limit, preconditioner);
     iterations += solved.iterations;
   };
 
-  bool multigrid = possible && lasting && (w.multigrid || wanted == Preconditioner::PMULTIGRID);
-  if (!multigrid)
+  const bool at_once = possible && lasting && (w.preconditioner || wanted != Kind::AUTO || kind == Kind::DIRECT);
+  if (!at_once)
   {
     solve(nullptr, possible ? std::min(lasting ? PATIENCE : PATIENCE_ONCE, max_iterations) : max_iterations);
-    multigrid = possible && !solved.converged && iterations < max_iterations;
   }
-  if (multigrid)
+  if (at_once || (possible && !solved.converged && iterations < max_iterations))
   {
-    if (!w.multigrid) w.multigrid = std::make_unique<PMultigrid>(model, w.partition);
-    w.multigrid_failed = !w.multigrid->prepare(model, rotations, supports.held, alpha, beta, w.solver.inverse());
-    solve(w.multigrid_failed ? nullptr : w.multigrid.get(), max_iterations - iterations);
-    report.multigrid = !w.multigrid_failed;
-    w.multigrid->took(solved.iterations);
+    make(kind, model, w);
+    report.preconditioner = kind;
+    bool again = true;
+    while (again)
+    {
+      w.preconditioner_failed =
+          !w.preconditioner->prepare(model, rotations, supports.held, alpha, beta, w.solver.inverse());
+      if (w.preconditioner_failed)
+      {
+        report.preconditioner = Kind::BLOCK_JACOBI;
+        solve(nullptr, max_iterations - iterations);
+        break;
+      }
+      const int patience = w.preconditioner->patience();
+      solve(w.preconditioner.get(), std::min(max_iterations - iterations, patience));
+      w.preconditioner->took(solved.iterations);
+      again = !solved.converged && solved.iterations == patience && iterations < max_iterations;
+    }
   }
   report.iterations += iterations;
   report.residual = std::max(report.residual, solved.residual);

@@ -4,15 +4,31 @@
 
 namespace bezier_fem
 {
+/** How long what is made for a system, a factor above all, will serve. */
+enum class Serves
+{
+  ONCE,
+  SAME_COEFFICIENTS,  // systems to come have the same alpha and beta
+  ALWAYS              // and the same rotations: linear elasticity
+};
+
+/**
+ * The system alpha M + beta K' in the form that the settings ask for, and workspace.solver prepared for it. With linear
+ * elasticity nothing is done where it is that of the last call.
+ */
+const SystemOperator& prepareSystem(const Model& model, const StepSettings& settings, const Supports& supports,
+                                    const MatrixFreeSystem<Rotations>& matrix_free, const Rotations& rotations,
+                                    double alpha, double beta, double load_floor, Workspace& workspace);
+
 /**
  * Solves (alpha M + beta K') u = workspace.rhs for u = workspace.change, which is also the start, with the
  * preconditioner that the settings ask for; workspace.solver is prepared for the system. `auto` begins with the
- * diagonal blocks and goes on with multigrid where these take long, from then on at once.
- * @param lasting  whether steps to come have the same alpha and beta, so that a factorisation pays
- * @param report   its iterations, residual, converged and multigrid are brought up to date
+ * diagonal blocks and goes on with multigrid where these take long, from then on at once; systems that always stay the
+ * same it factors, unless they are large.
+ * @param report  its iterations, residual, converged and preconditioner are brought up to date
  */
 void solveLinear(const Model& model, const StepSettings& settings, const Supports& supports, const Rotations& rotations,
                  const SystemOperator& system, double alpha, double beta, double tolerance, int max_iterations,
-                 bool lasting, Workspace& workspace, StepReport& report);
+                 Serves serves, Workspace& workspace, StepReport& report);
 
 }  // namespace bezier_fem

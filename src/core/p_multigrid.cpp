@@ -6,11 +6,10 @@
 #include <numeric>
 #include <random>
 
-#include "bezier_fem/assembled_matrix.h"
 #include "element_loop.h"
 #include "kernels.h"
 #include "parallel.h"
-#include "sparse_cholesky.h"
+#include "turned_factor.h"
 
 namespace bezier_fem
 {
@@ -124,11 +123,11 @@ public:
                                       shares_.data() + FIRST_SHARE);
     });
   }
-  /** The same of P c. */
-  void multiplyProlonged(const AlignedVector<float>& c)
+  /** The same of P c, c of the corners. */
+  void multiplyProlonged(const float* corners)
   {
     forEachThread(partition_, [&](int t) {
-      kernels::table().prolonged_product(elements(), partition_.blockBegin(t), partition_.blockEnd(t), c.data(),
+      kernels::table().prolonged_product(elements(), partition_.blockBegin(t), partition_.blockEnd(t), corners,
                                          shares_.data() + FIRST_SHARE);
     });
   }
@@ -273,15 +272,9 @@ private:
 
 PMultigrid::PMultigrid(const Model& model, const Partition& partition)
     : linear_(linearModel(model, node_of_vertex_, vertices_of_)),
-      linear_partition_(*linear_, 1),
       linear_rotations_(restRotations(*linear_)),
-      matrix_(std::make_unique<AssembledMatrix>(*linear_)),
-      assembler_(std::make_unique<FusedAssembler>(*linear_, *matrix_)),
-      cholesky_(std::make_unique<SparseCholesky>(*matrix_, linear_->rest)),
-      factored_frames_(9 * node_of_vertex_.size()),
-      frames_(9 * node_of_vertex_.size()),
-      right_(4 * node_of_vertex_.size()),
-      left_(4 * node_of_vertex_.size())
+      factor_(std::make_unique<TurnedFactor>(*linear_)),
+      held_vertices_(node_of_vertex_.size())
 {
   if (!model.quadratic()) return;
   quadratic_ = std::make_unique<QuadraticLevel>(model, partition, *linear_);
@@ -304,136 +297,43 @@ PMultigrid::PMultigrid(const Model& model, const Partition& partition)
 
 PMultigrid::~PMultigrid() = default;
 
+void PMultigrid::forget()
+{
+  factor_->forget();
+}
+
 void PMultigrid::took(int iterations)
 {
   constexpr int COST = 10;  // of a factor, in iterations
-  if (fewest_ < 0) fewest_ = iterations;
-  excess_ += std::max(0, iterations - fewest_);
-  if (excess_ > COST) factored_ = false;
+  factor_->took(iterations, COST);
 }
 
-bool PMultigrid::factor(const Model& model, const Rotations& rotations, const std::vector<std::uint8_t>& held)
+bool PMultigrid::prepare(const Model& model, const Rotations& rotations, const HeldAxes& held, double alpha,
+                         double beta, const AlignedVector<double>& inverse)
 {
-  linear_->block_coefficients = model.block_coefficients;
-  AssembledMatrix& matrix = *matrix_;
-  // Of several rotations, the mean.
-  constexpr std::ptrdiff_t BLOCK = 9 * LANES;
-  for (std::ptrdiff_t block = 0; block < model.num_blocks; ++block)
-  {
-    for (std::ptrdiff_t k = 0; k < BLOCK; ++k)
-    {
-      double sum = 0;
-      for (int q = 0; q < rotations.points; ++q) sum += rotations.gradients[(block * rotations.points + q) * BLOCK + k];
-      linear_rotations_.gradients[block * BLOCK + k] = sum / rotations.points;
-    }
-  }
-  assembler_->assemble(*linear_, linear_partition_, linear_rotations_, alpha_, beta_, matrix);
-  for (int i = 0; i < linear_->num_nodes; ++i)
-  {
-    for (int k = matrix.rowBegin()[i]; k < matrix.rowBegin()[i + 1]; ++k)
-    {
-      const int j = matrix.column()[k];
-      Eigen::Map<Eigen::Matrix3d> block(matrix.blocks().data() + 9L * k);
-      for (int axis = 0; axis < 3; ++axis)
-      {
-        if (held[node_of_vertex_[i]] >> axis & 1) block.row(axis).setZero();
-        if (held[node_of_vertex_[j]] >> axis & 1) block.col(axis).setZero();
-        if (i == j && (held[node_of_vertex_[i]] >> axis & 1)) block(axis, axis) = 1;
-      }
-    }
-  }
-  factored_frames_ = frames_;
-  fewest_ = -1;
-  excess_ = 0;
-  // Where rounding makes a pivot negative (nearly incompressible bodies), a diagonal larger by about as much helps.
-  double larger = 1;
-  for (const double wanted : {1.0, 1 + 1e-6, 1 + 1e-5, 1 + 1e-4})
-  {
-    for (int i = 0; i < linear_->num_nodes && wanted > 1; ++i)
-    {
-      for (int k = matrix.rowBegin()[i]; k < matrix.rowBegin()[i + 1]; ++k)
-      {
-        if (matrix.column()[k] != i) continue;
-        Eigen::Map<Eigen::Matrix3d>(matrix.blocks().data() + 9L * k).diagonal() *= wanted / larger;
-      }
-    }
-    larger = wanted;
-    if (cholesky_->factor(matrix)) return true;
-  }
-  return false;
-}
-
-void PMultigrid::turnFrames(const Model& model, const Rotations& rotations)
-{
-  std::fill(frames_.begin(), frames_.end(), 0.0f);
-  const int points = rotations.points;
-  for (int t = 0; t < model.num_tets; ++t)
-  {
-    Eigen::Matrix3f sum = rotations.matrix(t).cast<float>();
-    for (int q = 1; q < points; ++q) sum += rotations.matrix(t, q).cast<float>();
-    for (int c = 0; c < CORNERS; ++c)
-    {
-      Eigen::Map<Eigen::Matrix3f>(frames_.data() + 9L * linear_->tets[static_cast<std::size_t>(t) * CORNERS + c]) +=
-          sum;
-    }
-  }
-  for (std::size_t i = 0; i < node_of_vertex_.size(); ++i)
-  {
-    Eigen::Map<Eigen::Matrix3f> frame(frames_.data() + 9 * i);
-    const float size = frame.squaredNorm();
-    if (!(size > 0)) continue;
-    // Towards the nearest rotation (Newton and Schulz): near enough, as any regular frame will do.
-    frame *= std::sqrt(3 / size);
-    for (int k = 0; k < 2; ++k) frame = (1.5f * frame - 0.5f * frame * (frame.transpose() * frame)).eval();
-  }
-}
-
-bool PMultigrid::prepare(const Model& model, const Rotations& rotations, const std::vector<std::uint8_t>& held,
-                         double alpha, double beta, const AlignedVector<double>& inverse)
-{
-  turnFrames(model, rotations);
-  const bool same = alpha == alpha_ && beta == beta_ && held == held_;
-  alpha_ = alpha;
-  beta_ = beta;
-  held_ = held;
   if (quadratic_) quadratic_->take(rotations, alpha, beta, inverse);
-  if (!factored_ || !same)
+  for (std::size_t k = 0; k < node_of_vertex_.size(); ++k) held_vertices_[k] = held[node_of_vertex_[k]];
+  const bool same = factor_->isOf(held_vertices_, alpha, beta);
+  if (!same || !factor_->valid())
   {
-    factored_ = factor(model, rotations, held);
-    if (!factored_) return false;
+    linear_->block_coefficients = model.block_coefficients;
+    // Of several rotations, the mean.
+    constexpr std::ptrdiff_t BLOCK = 9 * LANES;
+    for (std::ptrdiff_t block = 0; block < model.num_blocks; ++block)
+    {
+      for (std::ptrdiff_t k = 0; k < BLOCK; ++k)
+      {
+        double sum = 0;
+        for (int q = 0; q < rotations.points; ++q)
+          sum += rotations.gradients[(block * rotations.points + q) * BLOCK + k];
+        linear_rotations_.gradients[block * BLOCK + k] = sum / rotations.points;
+      }
+    }
+    if (!factor_->factor(linear_rotations_, rotations, held_vertices_, alpha, beta)) return false;
     if (quadratic_ && !(same && quadratic_->estimated())) quadratic_->estimateLargest(held);
   }
-  for (std::size_t i = 0; i < node_of_vertex_.size(); ++i)
-  {
-    Eigen::Map<Eigen::Matrix3f> frame(frames_.data() + 9 * i);
-    frame = (frame * Eigen::Map<const Eigen::Matrix3f>(factored_frames_.data() + 9 * i).transpose()).eval();
-  }
+  factor_->turn(rotations);
   return true;
-}
-
-/** left_ = A_linear^-1 right_, in turned frames, where free. */
-void PMultigrid::solveCoarse()
-{
-  const auto clearHeld = [&](std::size_t vertex, Eigen::Map<Eigen::Vector3f>& v) {
-    const std::uint8_t held = held_[node_of_vertex_[vertex]];
-    for (int axis = 0; held != 0 && axis < 3; ++axis)
-    {
-      if (held >> axis & 1) v[axis] = 0;
-    }
-  };
-  for (std::size_t k = 0; k < node_of_vertex_.size(); ++k)
-  {
-    Eigen::Map<Eigen::Vector3f> v(right_.data() + 4 * k);
-    clearHeld(k, v);
-    v = (Eigen::Map<const Eigen::Matrix3f>(frames_.data() + 9 * k).transpose() * v).eval();
-  }
-  cholesky_->solve(right_.data(), left_.data());
-  for (std::size_t k = 0; k < node_of_vertex_.size(); ++k)
-  {
-    Eigen::Map<Eigen::Vector3f> v(left_.data() + 4 * k);
-    v = (Eigen::Map<const Eigen::Matrix3f>(frames_.data() + 9 * k) * v).eval();
-    clearHeld(k, v);
-  }
 }
 
 /** One V-cycle for the residual, of which the smoother's first term is there already, to `correction`. */
@@ -444,19 +344,22 @@ void PMultigrid::cycle()
   level.multiply(level.direction);
   level.subtract();
   using Node = Eigen::Map<Eigen::Vector4f, Eigen::Aligned16>;
-  const auto at = [](AlignedVector<float>& field, std::size_t i) { return Node(field.data() + 4 * i); };
+  using ConstNode = Eigen::Map<const Eigen::Vector4f, Eigen::Aligned16>;
+  const float* residual = level.residual.data();
+  // Regions hold edges where they hold both corners: so edges need no mask of their own.
   for (std::size_t k = 0; k < node_of_vertex_.size(); ++k)
   {
     Eigen::Vector4f edges = Eigen::Vector4f::Zero();
-    for (int e = edges_begin_[k]; e < edges_begin_[k + 1]; ++e) edges += at(level.residual, edges_[e]);
-    at(right_, k) = at(level.residual, node_of_vertex_[k]) + 0.5f * edges;
+    for (int e = edges_begin_[k]; e < edges_begin_[k + 1]; ++e) edges += ConstNode(residual + 4L * edges_[e]);
+    Node(factor_->right() + 4 * k) = ConstNode(residual + 4L * node_of_vertex_[k]) + 0.5f * edges;
   }
-  solveCoarse();
+  const float* corners = factor_->solve();
   for (std::size_t i = 0; i < vertices_of_.size(); ++i)
   {
-    at(level.correction, i) += 0.5f * (at(left_, vertices_of_[i][0]) + at(left_, vertices_of_[i][1]));
+    const auto [a, b] = vertices_of_[i];
+    Node(level.correction.data() + 4 * i) += 0.5f * (ConstNode(corners + 4L * a) + ConstNode(corners + 4L * b));
   }
-  level.multiplyProlonged(left_);
+  level.multiplyProlonged(corners);
   level.smooth(false);
 }
 
@@ -465,9 +368,8 @@ void PMultigrid::apply(const NodalField& r, NodalField& z)
   const std::ptrdiff_t numbers = 4L * z.size();
   if (!quadratic_)
   {
-    std::copy_n(r.data(), numbers, right_.begin());
-    solveCoarse();
-    std::copy_n(left_.begin(), numbers, z.data());
+    std::copy_n(r.data(), numbers, factor_->right());
+    std::copy_n(factor_->solve(), numbers, z.data());
     return;
   }
   std::copy_n(r.data(), numbers, quadratic_->remaining.begin());

@@ -199,9 +199,8 @@ std::string readFile(const Value& value)
   return path.string();
 }
 
-/** One of the choices; those of `later` are names that the format has and this version does not. */
 template <typename T>
-T readChoice(const Value& value, const std::vector<std::pair<std::string, T>>& choices, const Names& later = {})
+T readChoice(const Value& value, const std::vector<std::pair<std::string, T>>& choices)
 {
   Names names;
   for (const auto& [name, choice] : choices)
@@ -209,8 +208,6 @@ T readChoice(const Value& value, const std::vector<std::pair<std::string, T>>& c
     if (value.isScalar() && value.node.text == name) return choice;
     names.push_back(name);
   }
-  if (value.isScalar() && std::find(later.begin(), later.end(), value.node.text) != later.end())
-    value.error("is " + value.node.text + ", which is not available yet; available now: " + joined(names));
   const std::string allowed = (names.size() > 1 ? "one of " : "") + joined(names);
   value.mustBe(allowed + suggestion(value.isScalar() ? value.node.text : "", names));
 }
@@ -485,11 +482,10 @@ void readSolver(const Value& value, Scene::Solver& solver)
   const Map map(value, {"preconditioner", "operator", "tolerance", "max_iterations"});
   map.get("preconditioner", solver.preconditioner, [](const Value& name) {
     using Preconditioner = Scene::Solver::Preconditioner;
-    return readChoice<Preconditioner>(name,
-                                      {{"auto", Preconditioner::AUTO},
-                                       {"block_jacobi", Preconditioner::BLOCK_JACOBI},
-                                       {"pmultigrid", Preconditioner::PMULTIGRID}},
-                                      {"direct"});
+    return readChoice<Preconditioner>(name, {{"auto", Preconditioner::AUTO},
+                                             {"block_jacobi", Preconditioner::BLOCK_JACOBI},
+                                             {"pmultigrid", Preconditioner::PMULTIGRID},
+                                             {"direct", Preconditioner::DIRECT}});
   });
   map.get("operator", solver.system_operator, [](const Value& form) {
     using Operator = Scene::Solver::Operator;

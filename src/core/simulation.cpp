@@ -17,6 +17,7 @@
 #include "bezier_fem/refine.h"
 #include "bezier_fem/sizing.h"
 #include "bezier_fem/surface_mesh.h"
+#include "forces.h"
 #include "region.h"
 
 namespace bezier_fem
@@ -378,6 +379,7 @@ Simulation::Simulation(Scene scene, int threads, const Log& log)
     }
   }
   workspace_ = std::make_unique<Workspace>(model_, settings_, threads);
+  rest_ = std::make_unique<RestWatch>(model_, settings_.solver.tolerance);
   reset();
   if (scene_.integrator == Integrator::EXPLICIT) checkExplicit();
 }
@@ -410,18 +412,48 @@ std::vector<Material> Simulation::materials(const Material& base) const
 
 StepReport Simulation::step()
 {
-  const auto integrate = scene_.integrator == Integrator::EXPLICIT ? explicitStep
-                         : scene_.integrator == Integrator::SDIRK2 ? sdirk2Step
-                         : scene_.integrator == Integrator::AUTO   ? automaticStep
-                                                                   : implicitEulerStep;
-  const StepReport report = integrate(model_, settings_, supports_, loads_, external_forces_, state_, *workspace_);
+  StepReport report;
+  if (rest_->asleep() && staysAsleep())
+  {
+    report.substeps = 0;
+    report.asleep = true;
+    report.inverted = inverted_;
+    ++state_.steps;
+    state_.time = settings_.time_step * static_cast<double>(state_.steps);
+  }
+  else
+  {
+    const auto integrate = scene_.integrator == Integrator::EXPLICIT ? explicitStep
+                           : scene_.integrator == Integrator::SDIRK2 ? sdirk2Step
+                           : scene_.integrator == Integrator::AUTO   ? automaticStep
+                                                                     : implicitEulerStep;
+    report = integrate(model_, settings_, supports_, loads_, external_forces_, state_, *workspace_);
+    inverted_ = report.inverted;
+    rest_->stepped(state_.v, workspace_->load, settings_.time_step, report.converged && report.finite);
+    if (rest_->asleep()) state_.v.setZero();
+  }
   for (HeldRegion& region : supports_.regions) region.begin = region.end;
   return report;
+}
+
+/** Whether nothing changes in the coming step that a sleeping body would answer to; wakes it otherwise. */
+bool Simulation::staysAsleep()
+{
+  NodalField &load = workspace_->load, &place = workspace_->led;
+  const double middle = state_.time + settings_.time_step / 2;  // loads that come and go do so between steps
+  externalForce(model_, settings_, loads_, external_forces_, middle, state_.x, load);
+  place.matrix() = state_.x.matrix();
+  applySupports(supports_, state_.time + settings_.time_step, 1, place);
+  if (!rest_->isOtherLoad(load) && !rest_->isOtherPlace(place, state_.x)) return true;
+  rest_->wake();
+  workspace_->history = 0;  // what the changes of speed were long ago is no start for the next one
+  return false;
 }
 
 StepReport Simulation::solveStatic(const std::function<void(int, double)>& progress)
 {
   checkHeld(model_, supports_);
+  rest_->wake();
   return bezier_fem::solveStatic(model_, settings_, supports_, loads_, external_forces_, state_, *workspace_, progress);
 }
 
@@ -430,6 +462,7 @@ void Simulation::reset()
   for (HeldRegion& region : supports_.regions) region.begin = region.end = Eigen::Isometry3d::Identity();
   state_ = startState(model_, settings_, supports_, initial_, scene_.initial.velocity, *workspace_);
   addSpin();
+  rest_->wake();
   workspace_->balance.setZero();
 }
 
@@ -453,6 +486,7 @@ void Simulation::setMaterial(const Material& material)
   scene_.material = material;
   setMaterials(model_, materials(material));
   workspace_->forgetMaterials();
+  rest_->wake();
 }
 
 void Simulation::evaluateSurface(Eigen::Matrix3Xd& positions, Eigen::Matrix3Xd* normals) const

@@ -211,6 +211,17 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   product_.resize(std::max(stride(most_rows), 3 * widest));
 }
 
+double SparseCholesky::work() const
+{
+  double sum = 0;
+  for (const Supernode& node : supernodes_)
+  {
+    const double w = 3.0 * (node.end - node.begin), below = 3.0 * node.rows_count;
+    sum += w * w * w / 6 + below * w * w / 2 + below * below * w / 2;
+  }
+  return sum;
+}
+
 bool SparseCholesky::factor(const AssembledMatrix& matrix)
 {
   std::fill(values_.begin(), values_.end(), 0.0f);

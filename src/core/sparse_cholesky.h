@@ -28,6 +28,11 @@ public:
   /** x = A^-1 b; 4 floats a row: x, y, z and one that is not looked at. */
   void solve(const float* b, float* x);
 
+  /** Numbers in the factor, each of which a solve reads twice. */
+  std::size_t size() const { return values_.size(); }
+  /** Multiplications in factor(). */
+  double work() const;
+
 private:
   void invertDiagonal();
 

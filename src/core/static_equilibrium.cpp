@@ -3,7 +3,6 @@
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/measures.h"
-#include "bezier_fem/p_multigrid.h"
 #include "bezier_fem/step.h"
 #include "forces.h"
 #include "linear_solve.h"
@@ -142,8 +141,9 @@ StepReport solveStatic(const Model& model, const StepSettings& settings, const S
     w.solver.prepare(system, model, w.partition, supports.held, 0);
     w.change.setZero();
     solveLinear(model, settings, supports, state.rotations, system, 0, 1, round_tolerance,
-                100 * settings.solver.max_iterations, true, w, report);
-    if (w.multigrid) w.multigrid->forget();  // a round turns the body too far for the factor to serve again
+                100 * settings.solver.max_iterations, Serves::SAME_COEFFICIENTS, w, report);
+    // A round turns the body too far for the factor to serve again.
+    if (w.preconditioner && !linear) w.preconditioner->forget();
 
     // As far along the change as the forces out of balance go on doing work (Matthies and Strang 1979): the whole
     // change turns a soft body's elements so far that the next change would undo it.

@@ -8,7 +8,6 @@
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/green_strain.h"
 #include "bezier_fem/measures.h"
-#include "bezier_fem/p_multigrid.h"
 #include "bezier_fem/stable_step.h"
 #include "forces.h"
 #include "linear_solve.h"
@@ -273,8 +272,8 @@ private:
 
     const double alpha = 1 + h * damp_m, beta = h * (h + damp_k);
     const MatrixFreeSystem<Rotations> matrix_free(model_, w_.partition, rotations, alpha, beta);
-    const SystemOperator& system = systemOf(matrix_free, rotations, alpha, beta, w_);
-    w_.solver.prepare(system, model_, w_.partition, supports_.held, 1e-3 * h);
+    const SystemOperator& system =
+        prepareSystem(model_, settings_, supports_, matrix_free, rotations, alpha, beta, 1e-3 * h, w_);
     watch.lap(report.ms.assembly);
 
     // Led components: the dv that takes them to where they have to be.
@@ -295,7 +294,11 @@ private:
 
     if (!stage.start_known) w_.change.setZero();
     solveLinear(model_, settings_, supports_, rotations, system, alpha, beta, settings_.solver.tolerance,
-                std::max(1, settings_.solver.max_iterations), stage.lasting, w_, report);
+                std::max(1, settings_.solver.max_iterations),
+                !stage.lasting                               ? Serves::ONCE
+                : settings_.elasticity == Elasticity::LINEAR ? Serves::ALWAYS
+                                                             : Serves::SAME_COEFFICIENTS,
+                w_, report);
     w_.balance.matrix() = nodes(w_.solver.residual(), model_) / -h;
 
     state_.v.matrix() += w_.change.matrix();
@@ -370,15 +373,17 @@ Workspace::~Workspace() = default;
 void Workspace::forgetHistory()
 {
   history = 0;
-  multigrid.reset();
-  multigrid_failed = false;
+  preconditioner.reset();
+  preconditioner_failed = false;
+  prepared.reset();
 }
 
 void Workspace::forgetMaterials()
 {
   bound.reset();
-  if (multigrid) multigrid->forget();
-  multigrid_failed = false;
+  if (preconditioner) preconditioner->forget();
+  preconditioner_failed = false;
+  prepared.reset();
 }
 
 State startState(const Model& model, const StepSettings& settings, const Supports& supports, const NodalField& x,

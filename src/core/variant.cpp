@@ -73,7 +73,11 @@ public:
       plan_.statics ? solve(false) : simulate(false);
     }
     r_.ms_per_step = median(step_ms_);
-    if (!plan_.statics) r_.ms_per_second = std::accumulate(step_ms_.begin(), step_ms_.end(), 0.0) / r_.times.back();
+    if (!plan_.statics)
+    {
+      const double computed = static_cast<double>(step_ms_.size()) * simulation_.scene().time_step;  // s
+      r_.ms_per_second = computed > 0 ? std::accumulate(step_ms_.begin(), step_ms_.end(), 0.0) / computed : 0;
+    }
   }
 
 private:
@@ -109,7 +113,6 @@ private:
   {
     if (step == step_ms_.size()) step_ms_.push_back(ms);
     step_ms_[step] = std::min(step_ms_[step], ms);
-    wall_ms_ += ms;
   }
 
   void take(const StepReport& report)
@@ -129,6 +132,7 @@ private:
     const auto steps = static_cast<long>(std::ceil(plan_.duration / dt - 1e-6));
     const long every = std::max(1L, static_cast<long>(plan_.duration / RECORDS / dt + 1e-6));
     std::vector<double> iterations;
+    std::size_t computed = 0;
     if (first) snapshot();
     for (long step = 1; step <= steps; ++step)
     {
@@ -136,11 +140,13 @@ private:
       const StepReport report = simulation_.step();
       double ms = 0;
       watch.lap(ms);
-      takeTime(static_cast<std::size_t>(step) - 1, ms);
+      // A body asleep says nothing of what its motion costs.
+      if (!report.asleep) takeTime(computed++, ms);
+      wall_ms_ += ms;
       if (!first) continue;
       take(report);
       ++r_.steps;
-      iterations.push_back(report.iterations);
+      if (!report.asleep) iterations.push_back(report.iterations);
       if (!report.finite) return;
       if (step % every == 0 || step == steps) snapshot();
       if (wall_ms_ > 1000 * plan_.time_limit)
@@ -172,6 +178,7 @@ private:
     }
     watch.lap(ms);
     takeTime(0, ms);
+    wall_ms_ += ms;
     if (!first) return;
     take(report);
     r_.iterations = report.iterations;

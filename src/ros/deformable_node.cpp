@@ -310,6 +310,7 @@ void DeformableNode::makeStep()
   ++steps_made_;
   const StepReport& report = result_.report;
   ++period_.steps;
+  period_.asleep += report.asleep ? 1 : 0;
   period_.not_converged += report.converged ? 0 : 1;
   period_.substeps = std::max(period_.substeps, report.substeps);
   period_.iterations = std::max(period_.iterations, report.iterations);
@@ -400,7 +401,7 @@ void DeformableNode::diagnoseSimulation(diagnostic_updater::DiagnosticStatusWrap
   const double dropped = pacer_.dropped() + skipped_;
   const int inverted = lost_.empty() ? invertedElements(simulation_.model(), simulation_.state().x) : 0;
 
-  status.summary(Level::OK, paused_ ? "paused" : "running");
+  status.summary(Level::OK, paused_ ? "paused" : result_.report.asleep ? "asleep: the body is at rest" : "running");
   if (dropped > dropped_told_ && mode_ == Mode::REALTIME)
     status.mergeSummaryf(Level::WARN, "falls behind, real-time factor %.2f", factor);
   if (period_.not_converged > 0)
@@ -414,6 +415,7 @@ void DeformableNode::diagnoseSimulation(diagnostic_updater::DiagnosticStatusWrap
   status.add("simulated time [s]", simulation_.time());
   status.addf("real-time factor", "%.3f", factor);
   status.addf("dropped time [s]", "%.3f", dropped);
+  status.add("steps asleep", period_.asleep);
   status.addf("mean step [ms]", "%.3f", period_.steps > 0 ? period_.total_ms / static_cast<double>(period_.steps) : 0);
   status.addf("longest step [ms]", "%.3f", period_.longest_ms);
   status.add("largest number of sub-steps", period_.substeps);
@@ -421,7 +423,9 @@ void DeformableNode::diagnoseSimulation(diagnostic_updater::DiagnosticStatusWrap
   status.addf("largest residual", "%.3g", period_.residual);
   status.add("steps not converged", period_.not_converged);
   status.add("inverted elements", inverted);
+  status.add("messages computed", outputs_.published() - published_told_);
   dropped_told_ = dropped;
+  published_told_ = outputs_.published();
   period_ = {};
 }
 

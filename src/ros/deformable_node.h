@@ -123,12 +123,12 @@ private:
 
   struct Period  // since the last diagnostics
   {
-    long steps = 0, not_converged = 0;
+    long steps = 0, asleep = 0, not_converged = 0;
     int substeps = 0, iterations = 0;  // largest
     double residual = 0, longest_ms = 0, total_ms = 0;
   } period_;
   double dropped_told_ = 0;  // s
-  std::uint64_t refusals_told_ = 0;
+  std::uint64_t refusals_told_ = 0, published_told_ = 0;
   diagnostic_updater::Updater diagnostics_;
 
   std::vector<ros::ServiceServer> services_;  // last, so that callbacks end before what they use does

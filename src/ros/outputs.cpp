@@ -69,6 +69,7 @@ void Outputs::publish(const StepResult& result, const std::map<std::string, Inpu
     surface_marker_.header = header;
     fillSurface(simulation_.surface(), positions_, surface_marker_);
     surface_.publish(surface_marker_);
+    ++published_;
   }
   if (stress)
   {
@@ -79,12 +80,14 @@ void Outputs::publish(const StepResult& result, const std::map<std::string, Inpu
                stress_markers_.markers[0]);
     addLegend(header, body_, stress_scale_.value(), stress_markers_);
     stress_.publish(stress_markers_);
+    ++published_;
   }
   if (forces_.getNumSubscribers() > 0)
   {
     visualization_msgs::MarkerArray markers;
     force_markers_.fill(header, simulation_, active, elapsed, markers);
     forces_.publish(markers);
+    ++published_;
   }
   if (state) publishState(result);
   publishReactions(result.stamp);
@@ -119,6 +122,7 @@ void Outputs::publishState(const StepResult& result)
   message.step_ms = result.report.ms.total;
   message.real_time_factor = result.real_time_factor;
   state_.publish(message);
+  ++published_;
 }
 
 void Outputs::publishReactions(const ros::Time& stamp)
@@ -136,6 +140,7 @@ void Outputs::publishReactions(const ros::Time& stamp)
     message.wrench.force = toVector3(reactions[i].force);
     message.wrench.torque = toVector3(reactions[i].torque);
     reactions_[i].publish(message);
+    ++published_;
   }
 }
 

@@ -6,6 +6,7 @@
 #include <visualization_msgs/Marker.h>
 #include <visualization_msgs/MarkerArray.h>
 
+#include <cstdint>
 #include <vector>
 
 #include "bezier_fem/simulation.h"
@@ -31,6 +32,9 @@ public:
   /** @param elapsed  since the last call, s, real */
   void publish(const StepResult& result, const std::map<std::string, Inputs::Active>& active, double elapsed);
 
+  /** Messages that were computed, of all topics but the latched one. */
+  std::uint64_t published() const { return published_; }
+
 private:
   void publishState(const StepResult& result);
   void publishReactions(const ros::Time& stamp);
@@ -41,6 +45,8 @@ private:
   std::vector<ros::Publisher> reactions_;  // of each of supports().regions
   SmoothedScale stress_scale_;
   ForceMarkers force_markers_;
+
+  std::uint64_t published_ = 0;
 
   // Kept for their memory
   Eigen::Matrix3Xd positions_, normals_;

@@ -92,6 +92,14 @@ std::string toString(double value)
   return text.str();
 }
 
+const char* nameOf(Scene::Solver::Preconditioner preconditioner)
+{
+  using Preconditioner = Scene::Solver::Preconditioner;
+  return preconditioner == Preconditioner::DIRECT       ? "direct"
+         : preconditioner == Preconditioner::PMULTIGRID ? "pmultigrid"
+                                                        : "block_jacobi";
+}
+
 class Run
 {
 public:
@@ -196,9 +204,9 @@ private:
   Eigen::Matrix3Xd surface_, normals_;
   long surfaces_ = 0;  // files written
 
-  long steps_ = 0, substeps_ = 0, substepped_ = 0, second_order_ = 0;
+  long steps_ = 0, substeps_ = 0, substepped_ = 0, second_order_ = 0, asleep_ = 0;
   bool converged_ = true, finite_ = true;
-  bool multigrid_ = false;
+  Scene::Solver::Preconditioner preconditioner_ = Scene::Solver::Preconditioner::BLOCK_JACOBI;
   double residual_ = 0, turn_ = 0, kinetic_ = 0, kinetic_peak_ = 0;
   std::vector<double> iterations_;
   std::array<std::vector<double>, 6> ms_;  // rotation, assembly, force, solve, surface, total
@@ -209,13 +217,16 @@ private:
     finite_ = finite_ && report.finite;
     residual_ = std::max(residual_, report.residual);
     turn_ = std::max(turn_, report.turn);
-    multigrid_ = multigrid_ || report.multigrid;
+    using Preconditioner = Scene::Solver::Preconditioner;
+    if (report.preconditioner != Preconditioner::BLOCK_JACOBI) preconditioner_ = report.preconditioner;
     substeps_ += report.substeps;
     substepped_ += report.substeps > 1;
     second_order_ += report.second_order;
+    asleep_ += report.asleep;
+    if (report.asleep) return;  // medians are of steps that were computed
     iterations_.push_back(report.iterations);
     double surface_ms = 0;
-    if (simulation_.scene().surface_file)
+    if (summary_ && simulation_.scene().surface_file)
     {
       const auto start = std::chrono::steady_clock::now();
       simulation_.evaluateSurface(surface_, &normals_);
@@ -287,6 +298,7 @@ private:
     j["substeps"] = substeps_;
     j["substepped_steps"] = substepped_;
     j["sdirk2_steps"] = second_order_;
+    j["asleep_steps"] = asleep_;
     j["largest_turn"] = turn_;
     j["threads"] = options_.threads;
     j["ms_per_step"] = {{"rotation", median(ms_[0])},
@@ -297,7 +309,7 @@ private:
                         {"surface", median(ms_[4])},
                         {"total", median(ms_[5])}};
     j["iterations"] = median(iterations_);
-    j["preconditioner"] = multigrid_ ? "pmultigrid" : "block_jacobi";
+    j["preconditioner"] = nameOf(preconditioner_);
     j["residual"] = residual_;
     const Energies energy = simulation_.energies();
     j["energy"] = {{"kinetic", energy.kinetic}, {"elastic", energy.elastic}, {"gravity", energy.gravity}};

@@ -197,11 +197,11 @@ TEST_P(AssembledMatrixTest, ProductAndDiagonalEqualTheMatrixFreeOnes)
   const NodalField u = test::randomField(body.model.num_nodes, 8);
   const NodalField expected = body.matrixFree(u);
   const AssembledMatrix assembled[]{body.assembled(body.elementMatrices(), Traversal::MESH_ORIENTED), body.fused()};
-  AlignedVector<double> diagonal(8 * static_cast<std::size_t>(model.num_nodes));
+  AlignedVector<double> diagonal(8 * static_cast<std::size_t>(body.model.num_nodes));
   systemDiagonal(body.model, body.partition, body.rotations, ALPHA, BETA, diagonal);
   for (const AssembledMatrix& A : assembled)
   {
-    NodalField product = test::randomField(model.num_nodes, 9);
+    NodalField product = test::randomField(body.model.num_nodes, 9);
     A.product(body.partition, u, product);
     AlignedVector<double> own(diagonal.size(), 1.0);
     A.diagonal(own);

@@ -7,7 +7,7 @@
 #include "bezier_fem/conjugate_gradient.h"
 #include "bezier_fem/step.h"
 #include "core/bar.h"
-#include "sparse_cholesky.h"
+#include "direct_preconditioner.h"
 
 namespace bezier_fem
 {
@@ -31,20 +31,20 @@ protected:
   Model model = test::boxModel(test::irregularBox({4, 4, 8}, {0.4, 0.4, 1.0}), GetParam().element, material(),
                                GetParam().dilatation);
   Partition partition{model, 1};
-  Rotations rotations = bent();
+  Rotations rotations = bent(1.5);
   std::vector<std::uint8_t> held = foot();
   ConjugateGradient solver{model, partition};
   PMultigrid multigrid{model, partition};
 
   static Material material() { return {2e6, GetParam().dilatation == Dilatation::MEAN ? 0.49 : 0.45, 500}; }
-  /** Turned by up to 1.5 rad along the bar. */
-  Rotations bent() const
+  /** Turned by up to `angle`, rad, along the bar. */
+  Rotations bent(double angle) const
   {
     NodalField x = model.rest;
     for (int i = 0; i < model.num_nodes; ++i)
     {
       const Vector3d X = model.rest[i];
-      x[i] = Eigen::AngleAxisd(1.5 * X.z(), Vector3d(1, 0.5, 0.2).normalized()) * X;
+      x[i] = Eigen::AngleAxisd(angle * X.z(), Vector3d(1, 0.5, 0.2).normalized()) * X;
     }
     Rotations result = restRotations(model, GetParam().rule);
     const Rotations before = result;
@@ -151,6 +151,57 @@ TEST_P(Multigrid, FollowsANewMaterial)
   EXPECT_LT(after, 3 * before);
 }
 
+TEST_P(Multigrid, TheWholeSystemsFactorIsItsInverseAndServesTurnedOnes)
+{
+  DirectPreconditioner direct(model);
+  NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes), expected(model.num_nodes);
+  const auto solve = [&](const Rotations& at, double alpha, double beta, Preconditioner* preconditioner) {
+    const MatrixFreeSystem<Rotations> system(model, partition, at, alpha, beta);
+    EXPECT_TRUE(solver.prepare(system, model, partition, held, 0));
+    if (preconditioner)
+    {
+      EXPECT_TRUE(preconditioner->prepare(model, at, held, alpha, beta, solver.inverse()));
+    }
+    u.setZero();
+    const SolveReport report = solver.solve(system, partition, b, u, 1e-10, 10000, preconditioner);
+    EXPECT_TRUE(report.converged);
+    EXPECT_LE(report.residual, 1e-10);
+    return report.iterations;
+  };
+  for (const auto& [alpha, beta] : {std::pair{1.0, 4e-4}, {0.0, 1.0}})
+  {
+    const int plain = solve(rotations, alpha, beta, nullptr);
+    expected.matrix() = u.matrix();
+    const int anew = solve(rotations, alpha, beta, &direct);
+    EXPECT_LE(anew, 5);
+    EXPECT_LT((u.matrix() - expected.matrix()).norm(), 1e-7 * expected.matrix().norm());
+    // The bar has bent a little farther.
+    const Rotations farther = bent(1.52);
+    const int turned = solve(farther, alpha, beta, &direct);
+    EXPECT_GT(turned, anew);
+    EXPECT_LT(4 * turned, plain);
+    direct.forget();
+    EXPECT_LE(solve(farther, alpha, beta, &direct), 5);
+  }
+}
+
+TEST_P(Multigrid, AFactorIsOfAScrambledBodyToo)
+{
+  // Rotations around a node are so different that their mean is hardly one.
+  const NodalField x = test::randomField(model.num_nodes, 7);
+  const Rotations before = rotations;
+  AlignedVector<double> turned(rotations.flags.size());
+  updateRotations(model, partition, x, before, rotations, turned);
+  const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
+  ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
+  DirectPreconditioner direct(model);
+  ASSERT_TRUE(direct.prepare(model, rotations, held, 1, 4e-4, solver.inverse()));
+  NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes);
+  const SolveReport report = solver.solve(system, partition, b, u, 1e-6, 1000, &direct);
+  EXPECT_TRUE(report.converged);
+  EXPECT_LE(report.iterations, 20);
+}
+
 TEST(MultigridSteps, AreTheSameAfterAReset)
 {
   const Model model = test::boxModel(test::irregularBox({4, 4, 8}, {0.4, 0.4, 1.0}), Element::QUADRATIC, STIFF);
@@ -175,7 +226,10 @@ TEST(MultigridSteps, AreTheSameAfterAReset)
     State state = startState(model, settings, supports, model.rest, Vector3d::Zero(), workspace);
     bool multigrid = false;
     for (int k = 0; k < 20; ++k)
-      multigrid = implicitEulerStep(model, settings, supports, {}, no_force, state, workspace).multigrid || multigrid;
+    {
+      const StepReport report = implicitEulerStep(model, settings, supports, {}, no_force, state, workspace);
+      multigrid = multigrid || report.preconditioner == Scene::Solver::Preconditioner::PMULTIGRID;
+    }
     EXPECT_TRUE(multigrid);
     return state.x;
   };

@@ -395,15 +395,13 @@ TEST_F(SceneTest, Choices)
   expectRefused("rotation=polar", {"rotation is polar, must be one of corners, centroid, four"});
   expectRefused("dilatation=none", {"dilatation is none, must be one of auto, full, mean"});
   expectRefused("solver.preconditioner=ilu",
-                {"solver.preconditioner is ilu, must be one of auto, block_jacobi, pmultigrid"});
+                {"solver.preconditioner is ilu, must be one of auto, block_jacobi, pmultigrid, direct"});
   expectRefused("solver.operator=dense", {"solver.operator is dense, must be one of matrix_free, assembled"});
   expectRefused("node.mode=fast", {"node.mode is fast, must be one of realtime, lockstep, free_run"});
 }
 
 TEST_F(SceneTest, WhatIsNotAvailableYetSaysSo)
 {
-  expectRefused("solver.preconditioner=direct", {"solver.preconditioner is direct",
-                                                 "not available yet; available now: auto, block_jacobi, pmultigrid"});
   expectRefused("environment.urdf=scene.urdf", {"environment is {urdf: scene.urdf}", "not available yet"});
   expectRefused("contact.friction=0.5", {"contact is {friction: 0.5}", "not available yet"});
 }

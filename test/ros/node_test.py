@@ -156,6 +156,22 @@ class NodeTest(unittest.TestCase):
         self.assertClose(held, -np.array(force), 0.001 * 2)
         self.assertClose(torque, -np.cross(self.body.probe(state, 'tip'), force), 0.01 * 2)
 
+    def test_a_body_at_rest_sleeps_until_it_is_pulled(self):
+        self.body.pull(TIP, force=(2, 0, 0))
+        self.body.wait_acting(1)
+        rest = self.body.step(SETTLED)
+        self.assertEqual((rest.substeps, rest.iterations, rest.kinetic_energy), (0, 0, 0))
+        held, _ = self.body.wall()
+        later = self.body.step(10)
+        self.assertEqual(later.points, rest.points)
+        self.assertAlmostEqual(later.time, rest.time + 0.2)
+        self.assertClose(self.body.wall()[0], held, 1e-12)
+        self.body.pull(TIP, force=(0, 3, 0), name='other')
+        self.body.wait_acting(2)
+        pulled = self.body.step(5)
+        self.assertGreater(pulled.iterations, 0)
+        self.assertGreater(self.body.probe(pulled, 'tip')[1], self.body.probe(rest, 'tip')[1] + 1e-4)
+
     def test_torque_is_taken_up_by_the_support(self):
         torque = np.array([0.1, -0.2, 0.3])
         self.body.pull(TIP, torque=torque)
@@ -306,8 +322,8 @@ class NodeTest(unittest.TestCase):
         self.body.pull(TIP, force=(10, 0, 0))
         self.body.wait_acting(1)
         state = self.body.step(SETTLED)
-        stress.clear()
-        markers = stress.wait('markers').markers
+        # Not one of before, that has been on its way
+        markers = stress.wait('markers', lambda m: m.markers[0].header.stamp >= state.header.stamp).markers
         body, = [m for m in markers if m.ns == 'stress']
         self.assertEqual(len(body.colors), len(body.points))
         self.assertEqual(len(body.points) % 3, 0)
@@ -319,8 +335,7 @@ class NodeTest(unittest.TestCase):
         bending = 10 * 1.0 * 0.2 / (0.4 ** 4 / 12)  # Pa, M c / I at the wall
         self.assertGreater(max(state.von_mises), 0.7 * bending)
         self.assertLess(max(state.von_mises), 2 * bending)
-        surface.clear()
-        plain = surface.wait('marker')
+        plain = surface.wait('marker', lambda m: m.header.stamp >= state.header.stamp)
         self.assertEqual(plain.type, Marker.TRIANGLE_LIST)
         self.assertTrue(np.allclose([xyz(p) for p in plain.points], [xyz(p) for p in body.points]))
 

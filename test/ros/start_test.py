@@ -12,6 +12,7 @@ import rospy
 import rostest
 import yaml
 from bezier_fem.msg import BodyState
+from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger
 
 from body_client import PATIENCE, Inbox
@@ -87,6 +88,22 @@ class StartTest(unittest.TestCase):
         try:
             state = Inbox('/started/state', BodyState)
             self.assertGreater(state.wait('fast step', lambda s: s.real_time_factor > 2).step, 0)
+        finally:
+            node.send_signal(signal.SIGINT)
+            node.communicate(timeout=PATIENCE)
+
+    def test_computes_nothing_for_topics_that_nobody_hears(self):
+        def computed(message):
+            return [int(v.value) for s in message.status if s.name == 'started: simulation'
+                    for v in s.values if v.key == 'messages computed']
+        node = self.start(self.scene)
+        try:
+            diagnostics = Inbox('/diagnostics', DiagnosticArray)
+            diagnostics.wait('3 periods', lambda m: sum(len(computed(n)) for n in diagnostics.messages) >= 3)
+            self.assertEqual({count for m in diagnostics.messages for count in computed(m)}, {0})
+            state = Inbox('/started/state', BodyState)
+            state.wait('state')
+            diagnostics.wait('computed messages', lambda m: sum(computed(m)) > 0)
         finally:
             node.send_signal(signal.SIGINT)
             node.communicate(timeout=PATIENCE)

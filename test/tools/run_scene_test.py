@@ -182,6 +182,24 @@ class RunScene(unittest.TestCase):
                 return file.read()
         self.assertEqual(run(), run())
 
+    def test_a_body_at_rest_sleeps_and_wakes(self):
+        end = "box: {min: [-1,-1,0.99], max: [1,1,1.01]}"
+        summary, probes, _ = self.run_scene(
+            "--duration", 12, "--set", "damping.mass=15",
+            "--set", "loads=[{%s, force: [10, 0, 0], from: 10, until: 11}]" % end)
+        asleep = summary["asleep_steps"]
+        self.assertGreater(asleep, 100)
+        self.assertEqual((summary["steps"], summary["substeps"], summary["status"]), (600, 600 - asleep, "ok"))
+        self.assertGreater(summary["iterations"], 0)  # of the steps that were computed
+        self.assertGreater(summary["ms_per_step"]["total"], 0)
+        _, statics, _ = self.run_scene("--static", "--set", "solver.tolerance=1.0e-9")
+        self.assertEqual(probes[450]["lower_left.y"], probes[500]["lower_left.y"])
+        self.assertAlmostEqual(probes[500]["time"], 10)
+        for name in ("lower_left.x", "lower_left.y", "lower_left.z"):
+            self.assertAlmostEqual(probes[500][name], statics[-1][name], delta=1e-5)
+        self.assertGreater(probes[501]["lower_left.x"], probes[500]["lower_left.x"] + 1e-5)
+        self.assertEqual(self.run_scene("--steps", 60)[0]["asleep_steps"], 0)
+
     def test_paraview_series(self):
         self.call(BAR, "--steps", 4, "--every", 2, "--vtu", self.path("vtu"))
         index = xml.etree.ElementTree.parse(self.path("vtu/bar.pvd"))
@@ -236,7 +254,7 @@ class RunScene(unittest.TestCase):
                 ([], "SCENE"),
                 ([BAR, "--set", "material.poisson=0.5"], "material.poisson"),
                 ([BAR, "--set", "no_such_key=1"], "no_such_key"),
-                ([BAR, "--set", "solver.preconditioner=direct"], "not available yet"),
+                ([BAR, "--set", "solver.preconditioner=ilu"], "block_jacobi, pmultigrid, direct"),
                 ([BAR, "--set", "integrator=explicit", "--set", "material.young=1.0e+14"], "time_step: is 0.02 s"),
                 ([BAR, "--set", "fixed[0].frame=hand"], "frame"),
                 ([BAR, "--set", "fixed[0].box={min: [5,5,5], max: [6,6,6]}"], "fixed[0]"),

@@ -1,0 +1,76 @@
+#pragma once
+
+#include <memory>
+
+#include "bezier_fem/assembled_system.h"
+#include "bezier_fem/preconditioner.h"
+#include "sparse_cholesky.h"
+
+namespace bezier_fem
+{
+/**
+ * alpha M + beta K' of a body in one state, factored in single precision, to precondition the systems of other states:
+ * it is applied in frames that turn with the mean rotation of each node's elements since. What the body has deformed
+ * since makes the iteration longer, and never the result wrong.
+ */
+class TurnedFactor
+{
+public:
+  /** Keeps a reference to the model. */
+  explicit TurnedFactor(const Model& model);
+
+  /** Whether the last factor() was for these. */
+  bool isOf(const HeldAxes& held, double alpha, double beta) const
+  {
+    return alpha == alpha_ && beta == beta_ && held == held_;
+  }
+  /** Whether there is a factor, not to be renewed. */
+  bool valid() const { return valid_; }
+
+  /**
+   * @param rotations  what the matrix is made of; only the gradients are looked at
+   * @param frames     the same rotations, from which the nodes' frames are taken
+   * @return           false where the system is too ill-conditioned for single precision
+   */
+  bool factor(const Rotations& rotations, const Rotations& frames, const HeldAxes& held, double alpha, double beta);
+
+  /** Has the next factor() wanted, because the materials have changed or the next rotations are far from the last. */
+  void forget() { valid_ = false; }
+
+  /**
+   * Tells how many iterations a solve took. When those above what the new factor gave add up to `cost`, that of a
+   * factor in iterations, it is no longer valid.
+   */
+  void took(int iterations, double cost);
+  /** The fewest iterations that the next solve has to take for that. */
+  int patience(double cost) const;
+
+  /** Turns the frames to the present rotations. */
+  void turn(const Rotations& rotations);
+
+  /** A right-hand side to be filled in, 4 floats a node; what it has in held components is not looked at. */
+  float* right() { return right_.data(); }
+  /** About A^-1 right on the free components, 0 on the held ones; 4 floats a node. */
+  const float* solve();
+
+  const SparseCholesky& cholesky() const { return cholesky_; }
+
+private:
+  void meanRotations(const Rotations& rotations, AlignedVector<float>& frames) const;
+  void clearHeld(float* field) const;
+
+  const Model& model_;
+  Partition partition_;
+  AssembledSystem system_;
+  SparseCholesky cholesky_;
+  bool valid_ = false;
+  double alpha_ = 0, beta_ = 0;
+  HeldAxes held_;
+  int fewest_ = -1, excess_ = 0;     // iterations: with a new factor, and above that since
+  AlignedVector<double> turned_to_;  // Rotations::matrices
+  AlignedVector<float> factored_frames_;
+  AlignedVector<float> frames_;        // 9 a node, by columns
+  AlignedVector<float> right_, left_;  // 4 a node
+};
+
+}  // namespace bezier_fem

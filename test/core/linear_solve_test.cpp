@@ -1,0 +1,166 @@
+// Which preconditioner a scene's systems get, and what of it is kept from step to step.
+
+#include "linear_solve.h"
+
+#include <gtest/gtest.h>
+
+#include "core/bar.h"
+#include "turned_factor.h"
+
+namespace bezier_fem
+{
+namespace
+{
+using Eigen::Vector3d;
+using Kind = Scene::Solver::Preconditioner;
+
+constexpr Material STIFF{2e6, 0.45, 500};
+
+StepSettings settingsOf(Elasticity elasticity, Kind preconditioner, double tolerance = 1e-4)
+{
+  StepSettings settings{0.02, elasticity, RotationRule::FROM_CORNERS, {0, 0}, {0, -9.81, 0}, {}};
+  settings.solver.preconditioner = preconditioner;
+  settings.solver.tolerance = tolerance;
+  settings.solver.max_iterations = 5000;
+  return settings;
+}
+
+/** A bar that is held at its foot and falls to its side. */
+struct Bar
+{
+  Model model;
+  StepSettings settings;
+  Supports supports;
+  NodalField no_force;
+  Workspace workspace;
+  State state;
+
+  explicit Bar(const StepSettings& with, Element element = Element::QUADRATIC)
+      : model(test::boxModel(test::irregularBox({3, 3, 6}, {0.4, 0.4, 1.0}), element, STIFF)),
+        settings(with),
+        supports(test::holdFoot(model, model.rest)),
+        no_force(model.num_nodes),
+        workspace(model, settings, 1),
+        state(startState(model, settings, supports, model.rest, Vector3d::Zero(), workspace))
+  {
+  }
+  StepReport step()
+  {
+    const StepReport report = implicitEulerStep(model, settings, supports, {}, no_force, state, workspace);
+    EXPECT_TRUE(report.converged);
+    EXPECT_LE(report.residual, settings.solver.tolerance);
+    return report;
+  }
+};
+
+double distance(const Bar& a, const Bar& b)
+{
+  return (a.state.x.matrix() - b.state.x.matrix()).colwise().norm().maxCoeff();
+}
+
+TEST(LinearSolve, EveryPreconditionerGivesTheSameMotion)
+{
+  for (const Elasticity elasticity : {Elasticity::COROTATED, Elasticity::LINEAR})
+  {
+    for (const Element element : {Element::LINEAR, Element::QUADRATIC})
+    {
+      Bar reference(settingsOf(elasticity, Kind::BLOCK_JACOBI, 1e-9), element);
+      for (int k = 0; k < 10; ++k) EXPECT_EQ(reference.step().preconditioner, Kind::BLOCK_JACOBI);
+      for (const Kind kind : {Kind::PMULTIGRID, Kind::DIRECT})
+      {
+        Bar bar(settingsOf(elasticity, kind, 1e-9), element);
+        for (int k = 0; k < 10; ++k) EXPECT_EQ(bar.step().preconditioner, kind);
+        EXPECT_LT(distance(bar, reference), 1e-7);
+      }
+    }
+  }
+}
+
+TEST(LinearSolve, LinearElasticityIsFactoredOnceAndHardlyIterates)
+{
+  Bar bar(settingsOf(Elasticity::LINEAR, Kind::AUTO));
+  for (int k = 0; k < 50; ++k)
+  {
+    const StepReport report = bar.step();
+    EXPECT_EQ(report.preconditioner, Kind::DIRECT);
+    EXPECT_LE(report.iterations, 2) << "step " << k;
+  }
+  const Preconditioner* kept = bar.workspace.preconditioner.get();
+  bar.step();
+  EXPECT_EQ(bar.workspace.preconditioner.get(), kept);
+}
+
+TEST(LinearSolve, LinearElasticityFollowsWhateverChangesItsSystem)
+{
+  enum Change
+  {
+    MATERIAL,
+    DAMPING,
+    TIME_STEP,
+    SUPPORTS,
+    EQUILIBRIUM,
+    EXPLICIT_STEP
+  };
+  for (const Change change : {MATERIAL, DAMPING, TIME_STEP, SUPPORTS, EQUILIBRIUM, EXPLICIT_STEP})
+  {
+    // One bar remembers; the other one's memory is new for the last step.
+    Bar bar(settingsOf(Elasticity::LINEAR, Kind::AUTO, 1e-9));
+    for (int k = 0; k < 5; ++k) bar.step();
+    const std::vector<Material> soft(bar.model.num_tets, {2e4, 0.3, 900});
+    switch (change)
+    {
+      case MATERIAL:
+        setMaterials(bar.model, soft);
+        bar.workspace.forgetMaterials();
+        break;
+      case DAMPING:
+        bar.settings.damping = {3, 0.01};
+        break;
+      case TIME_STEP:
+        bar.settings.time_step = 0.005;
+        break;
+      case SUPPORTS:
+        bar.supports.held[bar.model.num_nodes - 1] |= 1;
+        bar.workspace.history = 0;  // the last changes do not hold it
+        break;
+      case EQUILIBRIUM:
+        solveStatic(bar.model, bar.settings, bar.supports, {}, bar.no_force, bar.state, bar.workspace, {});
+        bar.settings.gravity = {0, 0, 9.81};
+        break;
+      case EXPLICIT_STEP:
+        explicitStep(bar.model, bar.settings, bar.supports, {}, bar.no_force, bar.state, bar.workspace);
+        break;
+    }
+    Workspace anew(bar.model, bar.settings, 1);
+    State state = bar.state;
+    EXPECT_TRUE(implicitEulerStep(bar.model, bar.settings, bar.supports, {}, bar.no_force, state, anew).converged);
+    const StepReport report = bar.step();
+    EXPECT_EQ(report.preconditioner, Kind::DIRECT);
+    EXPECT_LE(report.iterations, 5) << change;
+    EXPECT_LT((bar.state.x.matrix() - state.x.matrix()).colwise().norm().maxCoeff(), 1e-8) << change;
+  }
+}
+
+TEST(LinearSolve, AFactorIsRenewedWhenExcessIterationsHavePaidForIt)
+{
+  const Model model = test::boxModel(test::irregularBox({1, 1, 2}, {0.4, 0.4, 1.0}), Element::QUADRATIC, STIFF);
+  TurnedFactor factor(model);
+  const Rotations rest = restRotations(model);
+  const HeldAxes held(model.num_nodes, 0);
+  EXPECT_FALSE(factor.valid());
+  ASSERT_TRUE(factor.factor(rest, rest, held, 1, 4e-4));
+  EXPECT_TRUE(factor.isOf(held, 1, 4e-4));
+  EXPECT_FALSE(factor.isOf(held, 1, 5e-4));
+  EXPECT_FALSE(factor.isOf(HeldAxes(model.num_nodes, 1), 1, 4e-4));
+  for (const int iterations : {3, 3, 7, 3, 9})  // 4 and 6 in excess of 3
+  {
+    factor.took(iterations, 10);
+    EXPECT_TRUE(factor.valid());
+  }
+  EXPECT_EQ(factor.patience(10), 4);
+  factor.took(4, 10);
+  EXPECT_FALSE(factor.valid());
+}
+
+}  // namespace
+}  // namespace bezier_fem
