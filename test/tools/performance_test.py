@@ -166,6 +166,13 @@ class Page(unittest.TestCase):
 
 
 class Programs(unittest.TestCase):
+    def test_tells_the_parts(self):
+        script = os.path.join(REPOSITORY, "scripts", "performance")
+        done = subprocess.run([script, "--programs", ".", "nonsense"], check=False, capture_output=True, text=True)
+        self.assertEqual(done.returncode, 1)
+        self.assertEqual(done.stderr, "performance: there is no part nonsense; parts are steps linear growth kernels "
+                                      "front\n")
+
     def run_on_bar(self, program, *arguments):
         done = subprocess.run([program, os.path.join(REPOSITORY, "config", "bar.yaml"), *arguments], check=False,
                               capture_output=True, text=True)
