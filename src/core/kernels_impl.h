@@ -462,16 +462,6 @@ inline Mat operator*(const Mat& a, const Mat& b)
   return r;
 }
 
-inline Mat transposeTimes(const Mat& a, const Mat& b)
-{
-  Mat r;
-  for (int i = 0; i < 3; ++i)
-  {
-    for (int j = 0; j < 3; ++j) r.m[i][j] = a.m[0][i] * b.m[0][j] + a.m[1][i] * b.m[1][j] + a.m[2][i] * b.m[2][j];
-  }
-  return r;
-}
-
 inline Vec squareRoot(Vec v)
 {
   Vec r;
