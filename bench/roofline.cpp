@@ -159,9 +159,9 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
   FusedAssembler(model, A).assemble(model, partition, before, 1, dt * dt, A);
   Yardstick yardstick(A);
 
-  NodalField u(model.num_nodes), v(partition.rows()), p(model.num_nodes), q(model.num_nodes), z(model.num_nodes);
+  NodalField u(model.num_nodes), v(model.num_nodes), p(model.num_nodes), q(model.num_nodes), z(model.num_nodes);
   for (int i = 0; i < model.num_nodes; ++i) u[i].setConstant(std::sin(i));
-  AlignedVector<double> diagonal(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * partition.rows());
+  AlignedVector<double> diagonal(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes);
   AlignedVector<double> inverse(static_cast<std::size_t>(kernels::INVERSE_STRIDE) * model.num_nodes);
   const kernels::Table& table = kernels::table();
   const kernels::BlockRows rows{A.rowBegin().data(), A.column().data()};
