@@ -106,9 +106,9 @@ def points(study):
 def front(arguments):
     """The bar's points in both revisions, one after the other, and other programs'."""
     engine.WORK = os.path.join(tools.WORK, "chart")
-    now = studies.bar()
+    now = studies.bar(equal_accuracy_too=False)
     with ProgramsOf(earlier(arguments.before)):
-        then = studies.bar()
+        then = studies.bar(studies.LAWS[:1], equal_accuracy_too=False)
     revision = subprocess.run(["git", "-C", tools.REPOSITORY, "log", "-1", "--format=%h of %as", arguments.before],
                               capture_output=True, text=True, check=True).stdout.strip()
     return {"now": points(now), "before": points(then), "revision": revision, "others": now.others}
