@@ -1,5 +1,6 @@
 """What is measured, a part each."""
 import os
+import shutil
 import subprocess
 
 import engine
@@ -99,19 +100,29 @@ def kernels(_):
     return found
 
 
+def unit():
+    """ms of a product, the bunny's: what the machine is worth at the moment."""
+    return steps_of("bunny", [], 1)[0]["one product"]
+
+
 def points(study):
     return [{key: row[key] for key in TELL} for row in study.rows]
 
 
 def front(arguments):
-    """The bar's points in both revisions, one after the other, and other programs'."""
+    """The bar's points in both revisions, one after the other, and other programs'; nothing kept from another run."""
     engine.WORK = os.path.join(tools.WORK, "chart")
+    shutil.rmtree(engine.WORK, ignore_errors=True)
+    earlier(arguments.before)  # now, lest it come between the two
     now = studies.bar(equal_accuracy_too=False)
+    units = [unit()]
     with ProgramsOf(earlier(arguments.before)):
         then = studies.bar(studies.LAWS[:1], equal_accuracy_too=False)
+    units.append(unit())
     revision = subprocess.run(["git", "-C", tools.REPOSITORY, "log", "-1", "--format=%h of %as", arguments.before],
                               capture_output=True, text=True, check=True).stdout.strip()
-    return {"now": points(now), "before": points(then), "revision": revision, "others": now.others}
+    return {"now": points(now), "before": points(then), "revision": revision, "others": now.others,
+            "products": units}
 
 
 PARTS = {"steps": steps, "linear": linear, "growth": growth, "kernels": kernels, "front": front}

@@ -142,7 +142,8 @@ def front(told):
     yield from paragraph(f"""
         The bar's co-rotated points of [doc/speed_accuracy.md](speed_accuracy.md), measured twice in the same run: by the
         programs of revision {told['revision']}, and by those of now ([front.csv](performance/front.csv)). Circles are
-        quadratic elements, triangles linear ones.""")
+        quadratic elements, triangles linear ones. Drift: one product of the bunny took {told['products'][0]:.3f} ms
+        between the two, {told['products'][1]:.3f} ms after them.""")
     yield from paragraph("![Error of the tip over time, before and after](performance/front.png)")
 
 

@@ -57,6 +57,7 @@ def everything():
                        for tets in (1041, 3183, 30929, 106345)] + [{"how": "cut", **step(8, 8328)}],
             "front": {"now": [point("dynamic", 5, 0.2), point("dynamic", 50, 0.01), point("static", 5, 0.05)],
                       "before": [point("dynamic", 9, 0.2), point("static", 9, 0.05)], "revision": "abc of 2020-01-01",
+                      "products": [0.2, 0.21],
                       "others": [bullet("dynamic", 20, 0.25), bullet("static", 100, 0.2)]}}
     rows = [kernel("product", 0.25), kernel("rotations", 0.15)]
     told["kernels"] = {size: {"peaks": [{"peak": "multiply-add, double", "": "60 GFlop/s"}], "rows": rows, "set": "avx2"}
