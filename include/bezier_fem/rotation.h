@@ -60,8 +60,8 @@ Rotations restRotations(const Model& model, RotationRule rule = RotationRule::FR
 
 /**
  * Rotations of the gradients that before.rule names: of the corners F = sum_a x_aa g_a^T (Weber et al. 2011, section
- * 5.1), at the centroid, or at four points. Newton's method from those before, vectorised over elements, checked for
- * having found the maximum; polarRotation() where it has not.
+ * 5.1), at the centroid, or at four points. Vectorised over elements, from the largest root of a quartic alone;
+ * polarRotation() where that leaves a doubt, which is the only place where those before have a say.
  * @param turned  scratch, as many numbers as flags
  */
 Turn updateRotations(const Model& model, const Partition& partition, const NodalField& x, const Rotations& before,

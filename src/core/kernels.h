@@ -185,7 +185,7 @@ struct Table
   /**
    * Rotations R of gradients F and the rotated gradients R g_1, R g_2, R g_3, for blocks [begin, end).
    * @param gradients  [block][9][LANES], of the rest shape
-   * @param before     [block][points][9][LANES], start values, row-major 3x3
+   * @param before     [block][points][9][LANES], row-major 3x3, what `turned` is measured from
    * @param after      [block][points][9][LANES], result
    * @param rotated    [block][points][9][LANES], result
    * @param turned     [block][points][LANES], |after - before|_F^2 = 8 sin^2(angle/2), result

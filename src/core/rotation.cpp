@@ -3,6 +3,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
 
 #include "kernels.h"
@@ -86,6 +87,24 @@ Eigen::Matrix3d gradientOf(const Model& model, const NodalField& x, const Eigen:
   for (int k = 0; k < 3; ++k) edges.col(k) = y[k + 1] - y[0];
   return edges * gradients.transpose();
 }
+
+/** Makes the rotation of a slot anew, unless the kernel was certain of it. */
+void settle(const Model& model, const NodalField& x, const Rotations& before, int slot, Rotations& after,
+            AlignedVector<double>& turned)
+{
+  if (after.flags[slot] & kernels::UNIQUE) return;
+  const int points = before.points;
+  const int element = slot / LANES / points * LANES + slot % LANES, point = slot / LANES % points;
+  const Eigen::Matrix3d gradients = loadGradients(model.block_gradients, element);
+  const Eigen::Matrix3d last = loadMatrix(before.matrices, slot);
+  double margin;
+  const Eigen::Matrix3d R = polarRotation(
+      gradientOf(model, x, gradients, std::min(element, model.num_tets - 1), before.rule, point), last, &margin);
+  storeMatrix(after.matrices, slot, R);
+  storeMatrix(after.gradients, slot, (R * gradients).transpose());
+  turned[slot] = (R - last).squaredNorm();
+  if (margin > UNIQUE_MARGIN) after.flags[slot] |= kernels::UNIQUE;
+}
 }  // namespace
 
 Eigen::Matrix3d polarRotation(const Eigen::Matrix3d& F, const Eigen::Matrix3d& before, double* margin)
@@ -133,11 +152,16 @@ Eigen::Matrix<double, 3, 4> Rotations::gradient(int tet, int point) const
 int Rotations::inverted(int num_tets) const
 {
   int count = 0;
-  for (int t = 0; t < num_tets; ++t)
+  for (int first = 0; first < num_tets; first += LANES)
   {
-    bool any = false;
-    for (int q = 0; q < points; ++q) any = any || (flags[slotOf(t, points, q)] & kernels::INVERTED) != 0;
-    if (any) ++count;
+    std::array<unsigned char, LANES> any{};
+    for (int q = 0; q < points; ++q)
+    {
+      const unsigned char* own = flags.data() + slotOf(first, points, q);
+      for (int lane = 0; lane < LANES; ++lane) any[lane] |= own[lane];
+    }
+    const int lanes = std::min(LANES, num_tets - first);
+    for (int lane = 0; lane < lanes; ++lane) count += (any[lane] & kernels::INVERTED) / kernels::INVERTED;
   }
   return count;
 }
@@ -170,32 +194,33 @@ Turn updateRotations(const Model& model, const Partition& partition, const Nodal
   const kernels::Gradient gradient = before.rule == RotationRule::FROM_CORNERS    ? kernels::Gradient::OF_CORNERS
                                      : before.rule == RotationRule::FROM_CENTROID ? kernels::Gradient::AT_CENTROID
                                                                                   : kernels::Gradient::AT_FOUR_POINTS;
+  std::atomic<double> largest{0};
   forEachThread(partition, [&](int thread) {
     const int begin = partition.blockBegin(thread), end = partition.blockEnd(thread);
     kernels::table().update_rotations(elements, gradient, begin, end, model.block_gradients.data(), x.data(),
                                       before.matrices.data(), after.matrices.data(), after.gradients.data(),
                                       turned.data(), after.flags.data());
-    for (int slot = begin * points * LANES; slot < end * points * LANES; ++slot)
+    std::array<double, LANES> lanes{};
+    for (int row = begin * points * LANES; row < end * points * LANES; row += LANES)
     {
-      if (after.flags[slot] & kernels::UNIQUE) continue;
-      const int element = slot / LANES / points * LANES + slot % LANES, point = slot / LANES % points;
-      const Eigen::Matrix3d gradients = loadGradients(model.block_gradients, element);
-      const Eigen::Matrix3d last = loadMatrix(before.matrices, slot);
-      double margin;
-      const Eigen::Matrix3d R = polarRotation(
-          gradientOf(model, x, gradients, std::min(element, model.num_tets - 1), before.rule, point), last, &margin);
-      storeMatrix(after.matrices, slot, R);
-      storeMatrix(after.gradients, slot, (R * gradients).transpose());
-      turned[slot] = (R - last).squaredNorm();
-      if (margin > UNIQUE_MARGIN) after.flags[slot] |= kernels::UNIQUE;
+      const unsigned char* now = after.flags.data() + row;
+      if (std::any_of(now, now + LANES, [](unsigned char flags) { return !(flags & kernels::UNIQUE); }))
+      {
+        for (int lane = 0; lane < LANES; ++lane) settle(model, x, before, row + lane, after, turned);
+      }
+      const unsigned char* last = before.flags.data() + row;
+      const double* angles = turned.data() + row;
+      for (int lane = 0; lane < LANES; ++lane)  // the copies that fill the last block do no harm
+      {
+        const double angle = last[lane] & now[lane] & kernels::UNIQUE ? angles[lane] : 0.0;
+        lanes[lane] = std::max(lanes[lane], angle);
+      }
     }
+    const double own = *std::max_element(lanes.begin(), lanes.end());
+    double others = largest;
+    while (own > others && !largest.compare_exchange_weak(others, own)) continue;
   });
   Turn turn;
-  double largest = 0;
-  for (std::size_t slot = 0; slot < after.flags.size(); ++slot)  // the copies that fill the last block do no harm
-  {
-    if (before.flags[slot] & after.flags[slot] & kernels::UNIQUE) largest = std::max(largest, turned[slot]);
-  }
   turn.inverted = after.inverted(model.num_tets);
   turn.angle = 2 * std::asin(std::min(1.0, std::sqrt(largest / 8)));
   return turn;

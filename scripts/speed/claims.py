@@ -1,0 +1,102 @@
+"""What is promised, beside what was measured. Knows no pictures."""
+import scenes
+from analysis import cheapest
+
+SAME_SIZE = 1.5  # sizes of two meshes that count as the same
+
+
+def products(row):
+    return row["step in products"]
+
+
+def worst_residual(told):
+    return max(row[key]["worst residual"] for row in told["steps"] for key in ("one", "two"))
+
+
+def nearest(rows, tets):
+    """The row of the mesh nearest to a size, or None."""
+    found = min(rows, key=lambda row: max(row["tets"] / tets, tets / row["tets"]))
+    return found if max(found["tets"] / tets, tets / found["tets"]) < SAME_SIZE else None
+
+
+def microseconds(row):
+    """Time per element and step."""
+    return 1000 * row["whole step"] / row["tets"]
+
+
+def grown(rows, value):
+    """How many times the value is at the largest of the claims' sizes what it is at the smallest, or None."""
+    ends = [nearest(rows, tets) for tets in (scenes.GROWTH_FROM, scenes.GROWTH_TO)]
+    return None if None in ends else value(ends[1]) / value(ends[0])
+
+
+def kernel(told, name, size="small"):
+    return next(row for row in told["kernels"][size]["rows"] if row["kernel"] == name)
+
+
+def own_match(told, other):
+    """Our fastest point of the same mode and law that errs no more than another program's, or None."""
+    law = other["law"]
+    time = "ms_per_second" if other["mode"] == "dynamic" else "ms_static"
+    some = [row for row in told["front"]["now"] if row["mode"] == other["mode"] and row["elasticity"] == law and
+            row[time] and row["error_tip"]]
+    found = cheapest([(row[time], row["error_tip"]) for row in some], other["error_tip"])
+    return None if found is None else {**some[found], "ms": some[found][time]}
+
+
+def corotated(rows):
+    return [row for row in rows if row["elasticity"] == "corotated"]
+
+
+def peers(told):
+    """Other programs' rows, each with ours, and how many times as long theirs took; None where we have no such point."""
+    for other in told["front"]["others"]:
+        own = own_match(told, other)
+        yield other, own, own and other["ms"] / own["ms"]
+
+
+def claims(told):
+    """(claim, what was measured, whether it holds)"""
+    worst = worst_residual(told)
+    yield (f"Every step of every scene is solved to {scenes.TOLERANCE:.0e}", f"{worst:.1e}", worst <= scenes.TOLERANCE)
+    for (name, _, _, most), row in zip(scenes.STEPS, told["steps"]):
+        yield (f"Whole step, {name}: at most {most} products", f"{products(row['one']):.1f}",
+               products(row["one"]) <= most)
+        ratio = row["two"]["whole step"] / row["one"]["whole step"]
+        yield (f"Two threads, {name}: at most {scenes.TWO_THREADS} of one's time", f"{ratio:.2f}",
+               ratio <= scenes.TWO_THREADS)
+    row = told["steps"][0]
+    ratio = row["classic"]["whole step"] / row["one"]["whole step"]
+    yield (f"{row['name']}: 20 times as fast as block-diagonal CG on the assembled matrix", f"{ratio:.1f}", ratio >= 20)
+    yield (f"{row['name']}: real time at {1000 / scenes.REAL_TIME:.0f} Hz on one core",
+           f"{row['one']['whole step']:.1f} ms", row["one"]["whole step"] <= scenes.REAL_TIME)
+
+    for (name, _, _, least, _), row in zip(scenes.LINEAR, told["linear"]):
+        ratio = row["blocks"]["whole step"] / row["own"]["whole step"]
+        met = max(row[key]["worst residual"] for key in ("own", "blocks")) <= scenes.LINEAR_TOLERANCE
+        yield (f"Linear elements to {scenes.LINEAR_TOLERANCE:.0e}, {name}: {least} times as fast as block-diagonal CG",
+               f"{ratio:.1f}" + ("" if met else ", not to that tolerance"), met and ratio >= least)
+
+    meshed = [row for row in told["growth"] if row["how"] == "meshed"]
+    for what, value, most in (("Iterations", lambda row: row["iterations"], scenes.ITERATIONS_GROW),
+                              ("Time per element", microseconds, scenes.TIME_GROWS)):
+        ratio = grown(meshed, value)
+        yield (f"{what} from {scenes.GROWTH_FROM} to {scenes.GROWTH_TO} tets: less than {most} times",
+               "not measured" if ratio is None else f"{ratio:.2f} times", ratio is not None and ratio < most)
+    largest = max(row["tets"] for row in told["growth"])
+    yield (f"Growth is shown to {scenes.GROWTH_END} tets", f"{largest}", largest >= scenes.GROWTH_END)
+
+    for name, most in (("product", scenes.PRODUCT), ("rotations", scenes.ROTATIONS)):
+        ratio = kernel(told, name)["products"]
+        yield f"Kernels, {name}: at most {most} of a plain product", f"{ratio:.2f}", ratio <= most
+
+    bullet = [ratio for other, _, ratio in peers(told) if other["program"].startswith("Bullet")]
+    slowest = None if None in bullet else min(bullet, default=None)
+    yield ("At the tip error of each of Bullet's points at most its time",
+           "not reached everywhere" if slowest is None else f"at least {slowest:.2g} times as fast",
+           slowest is not None and slowest >= 1)
+
+
+def lost(told):
+    """Other programs' points at which theirs is the faster one, or that we do not reach."""
+    return [(other, ratio) for other, _, ratio in peers(told) if ratio is None or ratio < 1]

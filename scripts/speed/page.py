@@ -1,0 +1,176 @@
+"""doc/performance.md, its pictures and data from what was measured."""
+import csv
+import os
+
+import claims as judged
+import pictures_of_speed as pictures
+import scenes
+import tools
+from measured import TELL
+from report import paragraph, table
+from tools import REPOSITORY, machine
+
+PAGE = os.path.join(REPOSITORY, "doc", "performance.md")
+
+
+def percent(value):
+    return f"{100 * value:.2g} %"
+
+
+def short(value):
+    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+
+
+def write(told):
+    """Writes everything that has been measured; returns the claims that do not hold."""
+    missing = [name for name, part in told.items() if part is None]
+    if missing:
+        raise tools.Failed(f"not measured yet: {' '.join(missing)}")
+    pictures.growth(told["growth"])
+    pictures.front(told["front"])
+    with open(os.path.join(tools.PICTURES, "front.csv"), "w", encoding="utf-8", newline="") as out:
+        rows = csv.writer(out, lineterminator="\n")
+        rows.writerow(["when", *TELL])
+        for when in ("before", "now"):
+            for row in judged.corotated(told["front"][when]):
+                rows.writerow([when, *(f"{row[key]:.6g}" if isinstance(row[key], float) else row[key] for key in TELL)])
+    checks = list(judged.claims(told))
+    with open(PAGE, "w", encoding="utf-8") as out:
+        out.write("\n".join(text(told, checks)).rstrip() + "\n")
+    return [claim for claim, _, holds in checks if not holds]
+
+
+def text(told, checks):
+    yield from paragraph("# Performance")
+    yield from paragraph(f"""
+        Written by `scripts/performance`, which measures all of it again. {machine()}. Machines differ and drift, so the
+        unit is the run's own: one *product* is the time of the faster of two plain double 3×3-block CSR products of the
+        same model on one thread (`bench/yardstick.h`), measured beside what it is compared with.""")
+    yield from paragraph("## What is claimed, and what came out")
+    yield from table(["claim", "measured", "holds"],
+                     [[claim, measured, "yes" if holds else "**no**"] for claim, measured, holds in checks])
+    yield from steps(told["steps"])
+    yield from linear(told["linear"])
+    yield from growth(told["growth"])
+    yield from kernels(told["kernels"])
+    yield from front(told["front"])
+    yield from peers(told)
+
+
+def steps(rows):
+    yield from paragraph("## Whole steps")
+    yield from paragraph(f"""
+        Quadratic elements, ν 0.45 where nothing else is said, steps of 20 ms, E 200 kPa, 500 kg/m³, longest side 1 m,
+        the lowest 5 % held, falling from rest; medians of the first steps from rest, everything counted, by
+        `bench/steps.cpp`. Each step is solved to {scenes.TOLERANCE:.0e}; the worst residual of all is given.
+        *Classic*: CG with the 3×3 diagonal blocks on the assembled matrix. *Before*: the default of the revision that
+        the front below is compared with, in the same run.""")
+    yield from table(["scene", "tets", "nodes", "iterations", "worst residual", "one product (ms)",
+                      "step, one thread (ms)", "in products", "at most", "two threads (ms)", "of one's", "classic (ms)",
+                      "classic / step", "before (ms)", "before, in products"],
+                     [[row["name"], row["one"]["tets"], row["one"]["nodes"], row["one"]["iterations"],
+                       f"{max(row[key]['worst residual'] for key in ('one', 'two')):.1e}",
+                       f"{row['one']['one product']:.3f}", f"{row['one']['whole step']:.2f}",
+                       f"{judged.products(row['one']):.1f}", most, f"{row['two']['whole step']:.2f}",
+                       f"{row['two']['whole step'] / row['one']['whole step']:.2f}",
+                       f"{row['classic']['whole step']:.1f}",
+                       f"{row['classic']['whole step'] / row['one']['whole step']:.1f}",
+                       f"{row['before']['whole step']:.1f}", f"{judged.products(row['before']):.0f}"]
+                      for (_, _, _, most), row in zip(scenes.STEPS, rows)])
+    yield from paragraph("""
+        Stages of the step on one thread, ms. Rotations and forces find their data out of cache, which the solver has
+        filled meanwhile; as kernels, with their data in cache, they are in the table of kernels.""")
+    yield from table(["scene", "rotations", "diagonal", "force", "solve", "whole step", "longest step"],
+                     [[row["name"], *(f"{row['one'][stage]:.2f}" for stage in
+                                      ("rotation", "diagonal", "force", "solve", "whole step", "longest step"))]
+                      for row in rows])
+
+
+def linear(rows):
+    yield from paragraph("## Linear elements")
+    yield from paragraph(f"""
+        The same scenes on linear elements, to {scenes.LINEAR_TOLERANCE:.0e}, beside CG with the 3×3 diagonal blocks from
+        the same start and with the same rotations (the faster of matrix-free and assembled). The longest step has a
+        factorisation in it: what it takes more than the median is about what that costs. FEMFX (single precision, to
+        1e-5) and VegaFEM (double, to 1e-6) are published figures for bodies of about this size **on another machine**,
+        one core: an order of magnitude, not a race.""")
+    yield from table(["scene", "tets", "nodes", "iterations", "worst residual", "step (ms)", "in products",
+                      "longest step (ms)", "blocks: iterations", "blocks (ms)", "blocks / step", "at least",
+                      "FEMFX, elsewhere (ms)", "VegaFEM, elsewhere (ms)"],
+                     [[row["name"], row["own"]["tets"], row["own"]["nodes"], row["own"]["iterations"],
+                       f"{row['own']['worst residual']:.1e}", f"{row['own']['whole step']:.2f}",
+                       f"{judged.products(row['own']):.0f}", f"{row['own']['longest step']:.1f}",
+                       row["blocks"]["iterations"], f"{row['blocks']['whole step']:.1f}",
+                       f"{row['blocks']['whole step'] / row['own']['whole step']:.1f}", least,
+                       f"{there['FEMFX']} ({there['tets']} tets)", f"{there['VegaFEM']} ({there['tets']} tets)"]
+                      for (_, _, _, least, there), row in zip(scenes.LINEAR, rows)])
+
+
+def growth(rows):
+    yield from paragraph("## Growth")
+    yield from paragraph("""
+        The bunny, quadratic elements, meshed ever finer (`model.cell_size`: other bodies, ever rounder), and the same
+        mesh cut into eight (`model.refine`: the same body). One thread.""")
+    yield from paragraph("![Iterations, and time per element and step, over tetrahedra](performance/growth.png)")
+    yield from table(["", "tets", "nodes", "iterations", "worst residual", "step (ms)", "in products",
+                      "µs an element", "longest step (ms)"],
+                     [[{"meshed": "meshed anew", "cut": "cut into eight"}[row["how"]], row["tets"], row["nodes"],
+                       row["iterations"], f"{row['worst residual']:.1e}", f"{row['whole step']:.1f}",
+                       f"{judged.products(row):.0f}", f"{judged.microseconds(row):.2f}", f"{row['longest step']:.0f}"]
+                      for row in rows])
+
+
+def kernels(sizes):
+    yield from paragraph("## Kernels")
+    yield from paragraph(f"""
+        One thread, {sizes['small']['set']}. A kernel's bound is the longer of what its arithmetic takes at the peak rate
+        of multiply-adds and what its data take at the bandwidth of a triad of the same size, all measured in this run;
+        operations and bytes are counted from the formulas (`bench/roofline.cpp`). The peak takes every operation for
+        half of a fused one; a kernel that also gathers, shuffles and adds singly cannot get near it. Shares above 1: a
+        triad is not the fastest way to move everything.""")
+    yield from table(["peak", ""], [list(row.values()) for row in sizes["small"]["peaks"]])
+    for size in sizes.values():
+        first = size["rows"][0]
+        yield from paragraph(f"Bunny, {first['tets']} tets, {first['nodes']} nodes:")
+        names = ["kernel", "precision", "ms", "products", "flop/byte", "GFlop/s", "GB/s", "of peak", "of bandwidth",
+                 "bound by", "of the bound"]
+        yield from table(names, [[row[name] for name in names] for row in size["rows"]])
+
+
+def front(told):
+    yield from paragraph("## Speed against accuracy, before and after")
+    yield from paragraph(f"""
+        The bar's co-rotated points of [doc/speed_accuracy.md](speed_accuracy.md), measured twice in the same run: by the
+        programs of revision {told['revision']}, and by those of now ([front.csv](performance/front.csv)). Circles are
+        quadratic elements, triangles linear ones. Drift: one product of the bunny took {told['products'][0]:.3f} ms
+        between the two, {told['products'][1]:.3f} ms after them.""")
+    yield from paragraph("![Error of the tip over time, before and after](performance/front.png)")
+
+
+def peers(told):
+    yield from paragraph("## Other programs")
+    yield from paragraph("""
+        The bar of `config/bar.yaml`, same run, one thread. Bullet's deformable body (linear elements, co-rotated,
+        lumped masses, implicit) with its demos' settings and converged; CalculiX at rest with C3D4 and C3D10, the whole
+        run with reading and writing. Against each stands the fastest of our points that errs no more at the tip, of the
+        same law. *At rest*: time of finding the equilibrium, which Bullet does by damped motion.""")
+    rows = []
+    for other, own, ratio in judged.peers(told):
+        rows.append([other["program"], other["settings"], other["law"], other["tets"],
+                     {"static": "at rest", "dynamic": "motion"}[other["mode"]],
+                     other["time_step"] and f"{1000 * other['time_step']:g} ms", short(other["ms"]),
+                     percent(other["error_tip"]),
+                     own and f"{own['element']}, {own['tets']} tets" + (
+                         f", {own['integrator']} {1000 * own['time_step']:g} ms" if own["mode"] == "dynamic" else ""),
+                     own and short(own["ms"]), own and percent(own["error_tip"]), ratio and f"{ratio:.2g}"])
+    yield from table(["program", "settings", "law", "tets", "", "time step", "ms (motion: ms/s)", "tip error",
+                      "ours", "ours, ms", "ours, tip error", "theirs / ours"], rows)
+    lost = judged.lost(told)
+    if lost:
+        yield from paragraph("**Where we lose:** " + "; ".join(
+            f"{other['program']}, {other['settings']}, {other['tets']} tets, "
+            f"{'at rest' if other['mode'] == 'static' else 'motion'}, tip error {percent(other['error_tip'])}: " +
+            ("we have no such point" if ratio is None else f"{1 / ratio:.2g} times as fast as ours")
+            for other, ratio in lost) + ".")
+    else:
+        yield from paragraph("At equal tip error on this bar we lose to none of these points.")

@@ -1,0 +1,197 @@
+#!/usr/bin/env python3
+"""What scripts/performance computes from: the benchmarks' tables, its claims and its page, from made-up measurements.
+
+    performance_test.py [BENCH_STEPS BENCH_ROOFLINE]
+"""
+import copy
+import os
+import subprocess
+import sys
+import tempfile
+import unittest
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+REPOSITORY = os.path.join(HERE, "..", "..")
+sys.dont_write_bytecode = True
+sys.path[:0] = [os.path.join(REPOSITORY, "scripts", part) for part in ("speed", "charting", "reproduction")]
+import claims  # noqa: E402  (the path comes first)
+import page  # noqa: E402
+import scenes  # noqa: E402
+import tools  # noqa: E402
+from tables import tables  # noqa: E402
+
+PROGRAMS = [os.path.abspath(path) for path in sys.argv[1:]]
+del sys.argv[1:]
+
+
+def step(ms, tets=3000, residual=1e-5, iterations=10):
+    """A row of bench_steps; one product is 1 ms."""
+    return {"scene": "x.yaml", "tets": tets, "nodes": 2 * tets, "threads": 1, "rotation": 0.1, "diagonal": 0.1,
+            "force": 0.1, "solve": ms - 0.3, "whole step": ms, "iterations": iterations, "worst residual": residual,
+            "one product": 1.0, "step in products": ms, "own product in products": 0.2, "longest step": 2 * ms}
+
+
+def kernel(name, products):
+    return {"scene": "x.yaml", "tets": 3000, "nodes": 6000, "kernel": name, "precision": "double", "ms": 1.0,
+            "products": products, "flop/byte": 1.0, "GFlop/s": 1.0, "GB/s": 1.0, "of peak": 0.5, "of bandwidth": 0.5,
+            "bound by": "arithmetic", "of the bound": 0.5}
+
+
+def point(mode, ms, error, law="corotated"):
+    return {"element": "quadratic", "tets": 100, "mode": mode, "integrator": "implicit_euler", "time_step": 0.02,
+            "elasticity": law, "solver.tolerance": 1e-4, "ms_per_second": ms, "ms_static": ms, "error_tip": error}
+
+
+def bullet(mode, ms, error):
+    return {"program": "Bullet, double precision", "settings": "default", "law": "corotated", "element": "linear",
+            "tets": 960, "mode": mode, "time_step": 0.02 if mode == "dynamic" else None, "ms": ms, "error_tip": error}
+
+
+def everything():
+    """Measurements by which every claim holds."""
+    told = {"steps": [{"name": name, "one": step(15), "two": step(8), "classic": step(400), "before": step(50)}
+                      for name, *_ in scenes.STEPS],
+            "linear": [{"name": name, "own": step(2, residual=1e-6), "blocks": step(12, residual=1e-6)}
+                       for name, *_ in scenes.LINEAR],
+            "growth": [{"how": "meshed", **step(tets / 1000, tets, iterations=8 + tets // 10000)}
+                       for tets in (1041, 3183, 30929, 106345)] + [{"how": "cut", **step(8, 8328)}],
+            "front": {"now": [point("dynamic", 5, 0.2), point("dynamic", 50, 0.01), point("static", 5, 0.05)],
+                      "before": [point("dynamic", 9, 0.2), point("static", 9, 0.05)], "revision": "abc of 2020-01-01",
+                      "products": [0.2, 0.21],
+                      "others": [bullet("dynamic", 20, 0.25), bullet("static", 100, 0.2)]}}
+    rows = [kernel("product", 0.25), kernel("rotations", 0.15)]
+    told["kernels"] = {size: {"peaks": [{"peak": "multiply-add, double", "": "60 GFlop/s"}], "rows": rows, "set": "avx2"}
+                       for size in ("small", "large")}
+    return told
+
+
+def broken(told):
+    return [claim for claim, _, holds in claims.claims(told) if not holds]
+
+
+class Tables(unittest.TestCase):
+    def test_every_table_of_a_text(self):
+        found = tables("Words\n\n| a | |\n|---|---|\n| 1 | x y |\n| 2.5 | 1e-05 |\n\n| b |\n|---|\n| nan |\nend\n| c |\n")
+        self.assertEqual(found[0], [{"a": 1, "": "x y"}, {"a": 2.5, "": 1e-5}])
+        self.assertNotEqual(found[1][0]["b"], found[1][0]["b"])
+        self.assertEqual(found[2], [])
+
+
+class Claims(unittest.TestCase):
+    def setUp(self):
+        self.told = everything()
+
+    def breaks(self, *words):
+        """What does not hold any more: one claim, with these words in it."""
+        found = broken(self.told)
+        self.assertEqual(len(found), 1, found)
+        for word in words:
+            self.assertIn(word, found[0])
+
+    def test_all_hold(self):
+        self.assertEqual(broken(self.told), [])
+
+    def test_a_step_too_long(self):
+        self.told["steps"][2]["one"] = step(17)
+        self.breaks("Whole step", "10 000", "16 products")
+
+    def test_a_step_not_converged(self):
+        self.told["steps"][3]["two"]["worst residual"] = 1.1e-4
+        self.breaks("Every step")
+
+    def test_a_step_that_is_not_a_number(self):
+        self.told["steps"][3]["one"]["step in products"] = float("nan")
+        self.breaks("Whole step")
+
+    def test_two_threads(self):
+        self.told["steps"][1]["two"] = step(10)
+        self.breaks("Two threads", "armadillo")
+
+    def test_classic(self):
+        self.told["steps"][0]["classic"] = step(290)
+        self.breaks("20 times")
+
+    def test_linear_elements(self):
+        self.told["linear"][0]["blocks"] = step(9.9, residual=1e-6)
+        self.breaks("Linear elements", "bunny")
+        self.told["linear"][0]["blocks"] = step(12, residual=2e-5)  # in time, but not what was asked
+        self.breaks("Linear elements", "bunny")
+
+    def test_growth(self):
+        self.assertAlmostEqual(claims.grown(self.told["growth"], lambda row: row["iterations"]), 11 / 8)
+        self.told["growth"][2]["iterations"] = 12
+        self.breaks("Iterations")
+        self.told["growth"][2]["iterations"] = 10
+        self.told["growth"][2]["whole step"] *= 2.1
+        self.breaks("Time per element")
+        del self.told["growth"][2]  # nothing near 30 000
+        self.assertIsNone(claims.grown(self.told["growth"], claims.microseconds))
+        self.assertEqual(len(broken(self.told)), 2)
+
+    def test_kernels(self):
+        self.told["kernels"]["small"]["rows"][1]["products"] = 0.21
+        self.breaks("rotations")
+
+    def test_other_programs(self):
+        matches = [(own["ms"], ratio) for _, own, ratio in claims.peers(self.told)]
+        self.assertEqual(matches, [(5, 4), (5, 20)])
+        self.assertEqual(claims.lost(self.told), [])
+        self.told["front"]["others"].append(bullet("dynamic", 40, 0.02))  # ours takes 50 for that
+        self.breaks("Bullet")
+        self.told["front"]["others"][-1] = bullet("dynamic", 40, 0.001)  # an error that none of ours has
+        self.breaks("Bullet")
+        self.assertEqual([ratio for _, ratio in claims.lost(self.told)], [None])
+
+
+class Page(unittest.TestCase):
+    def test_tells_what_does_not_hold(self):
+        told = everything()
+        told["steps"][0]["one"] = step(18)
+        told["front"]["others"].append(bullet("dynamic", 40, 0.02))
+        with tempfile.TemporaryDirectory() as folder:
+            page.PAGE, tools.PICTURES = os.path.join(folder, "performance.md"), os.path.join(folder, "performance")
+            self.assertEqual(len(page.write(told)), 2)
+            self.assertEqual(sorted(os.listdir(tools.PICTURES)),
+                             ["front.csv", "front.png", "front.svg", "growth.png", "growth.svg"])
+            with open(page.PAGE, encoding="utf-8") as file:
+                text = file.read()
+        self.assertIn("| Whole step, bunny, about 3200: at most 16 products | 18.0 | **no** |", text)
+        self.assertIn("**Where we lose:** Bullet, double precision, default, 960 tets, motion", text)
+        for rows in tables(text):
+            self.assertTrue(rows)
+
+    def test_needs_every_part(self):
+        told = copy.deepcopy(everything())
+        told["growth"] = None
+        self.assertRaisesRegex(tools.Failed, "growth", page.write, told)
+
+
+class Programs(unittest.TestCase):
+    def test_tells_the_parts(self):
+        script = os.path.join(REPOSITORY, "scripts", "performance")
+        done = subprocess.run([script, "--programs", ".", "nonsense"], check=False, capture_output=True, text=True)
+        self.assertEqual(done.returncode, 1)
+        self.assertEqual(done.stderr, "performance: there is no part nonsense; parts are steps linear growth kernels "
+                                      "front\n")
+
+    def run_on_bar(self, program, *arguments):
+        done = subprocess.run([program, os.path.join(REPOSITORY, "config", "bar.yaml"), *arguments], check=False,
+                              capture_output=True, text=True)
+        self.assertEqual(done.returncode, 0, done.stderr)
+        return tables(done.stdout)
+
+    @unittest.skipUnless(PROGRAMS, "built without benchmarks")
+    def test_columns_are_what_the_script_reads(self):
+        (row,), = self.run_on_bar(PROGRAMS[0], "--threads", "1", "--steps", "3")
+        self.assertEqual(set(step(1)), set(row))
+        self.assertLessEqual(row["whole step"], row["longest step"])
+        peaks, rows = self.run_on_bar(PROGRAMS[1])
+        self.assertEqual(set(kernel("product", 1)), set(rows[0]))
+        self.assertIn("multiply-add, single", [peak["peak"] for peak in peaks])
+        for row in rows:  # cannot be faster than the machine; a triad can be beaten
+            self.assertLess(row["of peak"], 1)
+            self.assertGreater(row["of the bound"], 0)
+
+
+if __name__ == "__main__":
+    unittest.main()
