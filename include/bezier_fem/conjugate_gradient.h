@@ -37,6 +37,16 @@ public:
                double load_floor);
 
   /**
+   * u = the combination of past solutions, of which the first is the last one, that is nearest to A u = b in the norm
+   * of A; never farther than zero (compare Fischer 1998, "Projection techniques for iterative solution of Ax = b with
+   * successive right-hand sides"). To be followed by solve() from that u.
+   * @param system  that of the last prepare()
+   * @param count   of the past solutions to use
+   */
+  void start(const SystemOperator& system, const Partition& partition, const NodalField& b,
+             const std::array<NodalField, 3>& past, int count, NodalField& u);
+
+  /**
    * @param system  that of the last prepare()
    * @param b  right-hand side; its held components are not looked at
    * @param u  start value with held components zero, then the solution
@@ -60,6 +70,8 @@ private:
   double floor_ = 0;
   AlignedVector<double> diagonal_, inverse_;
   NodalField r_, z_, p_, q_;
+  std::array<NodalField, 3> basis_, images_;  // of start()
+  bool product_known_ = false;                // q_ is A u of what start() has left
   std::vector<double> partial_;  // a number a chunk of nodes
 
   template <class F>

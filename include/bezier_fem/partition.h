@@ -9,7 +9,8 @@
 namespace bezier_fem
 {
 /**
- * How a model's elements and nodes are shared among threads: contiguous ranges, one a thread. Nodes come in chunks, and
+ * How a model's elements and nodes are shared among threads: contiguous ranges, several a thread, so that one that is
+ * held up does not hold up the others. Nodes come in chunks, and
  * sums over nodes are made chunk by chunk, so that they are the same for any number of threads. What elements add to
  * nodes goes to the memory here, from where it is summed up node by node: one user at a time.
  */
@@ -21,15 +22,16 @@ public:
   /** Nodes of a chunk: whole cache lines of any field, so that no two threads write to one. */
   static constexpr int CHUNK = 256;
 
-  int threads() const { return static_cast<int>(block_begin_.size()) - 1; }
-  int blockBegin(int thread) const { return block_begin_[thread]; }
-  int blockEnd(int thread) const { return block_begin_[thread + 1]; }
-  int nodeBegin(int thread) const { return firstOf(chunk_begin_[thread]); }
-  int nodeEnd(int thread) const { return firstOf(chunk_begin_[thread + 1]); }
+  int threads() const { return threads_; }
+  int pieces() const { return static_cast<int>(block_begin_.size()) - 1; }
+  int blockBegin(int piece) const { return block_begin_[piece]; }
+  int blockEnd(int piece) const { return block_begin_[piece + 1]; }
+  int nodeBegin(int piece) const { return firstOf(chunk_begin_[piece]); }
+  int nodeEnd(int piece) const { return firstOf(chunk_begin_[piece + 1]); }
 
   int numChunks() const { return (num_nodes_ + CHUNK - 1) / CHUNK; }
-  int chunkBegin(int thread) const { return chunk_begin_[thread]; }
-  int chunkEnd(int thread) const { return chunk_begin_[thread + 1]; }
+  int chunkBegin(int piece) const { return chunk_begin_[piece]; }
+  int chunkEnd(int piece) const { return chunk_begin_[piece + 1]; }
   /** First node of a chunk, or the number of nodes. */
   int firstOf(int chunk) const { return std::min(num_nodes_, chunk * CHUNK); }
 
@@ -37,8 +39,8 @@ public:
   double* shares() const { return shares_.data(); }
 
 private:
-  int num_nodes_;
-  std::vector<int> block_begin_, chunk_begin_;  // threads + 1
+  int num_nodes_, threads_;
+  std::vector<int> block_begin_, chunk_begin_;  // pieces + 1
   mutable AlignedVector<double> shares_;
 };
 

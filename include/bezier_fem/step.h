@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -85,11 +86,12 @@ struct Workspace
   ConjugateGradient solver;
   NodalField balance;  // force (N) of the supports on each control point in the last step; meaningful where held
 
-  NodalField load, force, rhs, led, change, last_change, last_but_one_change, x_before, v_before, predicted;
+  NodalField load, force, rhs, led, change, x_before, v_before, predicted;
   Rotations candidate, stage_rotations;
   AlignedVector<double> turned;
-  int history = 0;                    // how many steps before now last_change and last_but_one_change tell of
-  bool history_is_of_stages = false;  // of sdirk2Step(): they are the changes of v in its stages
+  std::array<NodalField, 3> past;     // changes of v, the last one first
+  int history = 0;                    // how many steps before now they tell of, up to three
+  bool history_is_of_stages = false;  // of sdirk2Step(): they are those of its stages, two a step
   std::unique_ptr<Preconditioner> preconditioner;  // beyond the diagonal blocks, since it was first wanted
   Scene::Solver::Preconditioner preconditioner_kind = Scene::Solver::Preconditioner::BLOCK_JACOBI;
   bool preconditioner_failed = false;  // not to be tried again

@@ -26,9 +26,9 @@ int pairsOf(const Model& model)
 template <class Loop>
 void share(const Partition& partition, std::size_t count, const Loop& loop)
 {
-  const std::size_t threads = partition.threads();
-  forEachThread(partition, [&](int t) {
-    loop(static_cast<int>(count * t / threads), static_cast<int>(count * (t + 1) / threads));
+  const std::size_t pieces = partition.pieces();
+  forEachPiece(partition, [&](int t) {
+    loop(static_cast<int>(count * t / pieces), static_cast<int>(count * (t + 1) / pieces));
   });
 }
 
@@ -53,7 +53,7 @@ ElementMatrices::ElementMatrices(const Model& model)
 void rotatedGradientMatrices(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
                              double beta, ElementMatrices& out)
 {
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     kernels::table().element_matrices(elementsOf(model), partition.blockBegin(t), partition.blockEnd(t),
                                       rotations.gradients.data(), alpha, beta, out.blocks.data());
   });
@@ -79,7 +79,7 @@ RestStiffness restStiffness(const Model& model)
 void warpedMatrices(const Model& model, const Partition& partition, const RestStiffness& stiffness,
                     const Rotations& rotations, double alpha, double beta, ElementMatrices& out)
 {
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     kernels::table().warped_matrices(elementsOf(model), partition.blockBegin(t), partition.blockEnd(t),
                                      stiffness.data(), rotations.matrices.data(), alpha, beta, out.blocks.data());
   });
@@ -122,7 +122,7 @@ int AssembledMatrix::slot(int i, int j) const
 
 void AssembledMatrix::product(const Partition& partition, const NodalField& u, NodalField& out) const
 {
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     kernels::table().block_product(rowsOf(*this), partition.nodeBegin(t), partition.nodeEnd(t), blocks_.data(),
                                    u.data(), out.data());
   });
@@ -378,7 +378,7 @@ void FusedAssembler::assemble(const Model& model, const Partition& partition, co
   lists_->products.resize((elements + 1) * kernels::PRODUCTS_STRIDE * (mean ? 2 : 1));
   std::fill(lists_->products.end() - kernels::PRODUCTS_STRIDE * (mean ? 2 : 1), lists_->products.end(), 0.0);
   double* products = lists_->products.data();
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     kernels::table().gradient_products(elementsOf(model), partition.blockBegin(t), partition.blockEnd(t),
                                        l.corner_order.data(), rotations.gradients.data(), alpha, beta, products);
   });

@@ -29,7 +29,7 @@ struct AssembledSystem::ByProducts
     const int n = model.nodes_per_tet, rows = n * LANES;
     const kernels::Elements elements{n, points, own_nodes.data(), model.block_coefficients.data(), meanOf(model)};
     double* shares = partition.shares() + kernels::ZERO_ROWS * kernels::SHARES;
-    forEachThread(partition, [&](int thread) {
+    forEachPiece(partition, [&](int thread) {
       NodalField u(rows);
       for (int block = partition.blockBegin(thread); block < partition.blockEnd(thread); ++block)
       {

@@ -97,6 +97,42 @@ double ConjugateGradient::relativeNorm(const Partition& partition, const NodalFi
   return scale == 0 ? 0 : norm(partition, r) / scale;
 }
 
+void ConjugateGradient::start(const SystemOperator& system, const Partition& partition, const NodalField& b,
+                              const std::array<NodalField, 3>& past, int count, NodalField& u)
+{
+  u.setZero();
+  product_known_ = false;
+  if (count == 0) return;
+  // Differences, which are not as nearly parallel as the solutions.
+  Eigen::Matrix3d gram = Eigen::Matrix3d::Identity();
+  Eigen::Vector3d work = Eigen::Vector3d::Zero();
+  const auto dot = [&](const NodalField& a, const NodalField& c) {
+    return sum(partition, [&](int begin, int end) { return kernels::table().dot(begin, end, a.data(), c.data()); });
+  };
+  for (int k = 0; k < count; ++k)
+  {
+    if (basis_[k].size() != u.size()) basis_[k] = images_[k] = NodalField(u.size());
+    basis_[k].matrix() = past[0].matrix();
+    if (k == 1) basis_[k].matrix() -= past[1].matrix();
+    if (k == 2) basis_[k].matrix() += past[2].matrix() - 2 * past[1].matrix();
+    system.product(basis_[k], images_[k]);
+    work[k] = dot(basis_[k], b);
+    for (int j = 0; j <= k; ++j) gram(j, k) = gram(k, j) = dot(basis_[j], images_[k]);
+  }
+  const Eigen::Vector3d scale = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
+  const Eigen::LLT<Eigen::Matrix3d> llt(scale.asDiagonal() * gram * scale.asDiagonal());
+  if (llt.info() != Eigen::Success) return;  // no motion, or none that differs
+  const Eigen::Vector3d weights = scale.cwiseProduct(llt.solve(scale.cwiseProduct(work)));
+  if (!weights.allFinite()) return;
+  q_.setZero();
+  for (int k = 0; k < count; ++k)
+  {
+    u.matrix() += weights[k] * basis_[k].matrix();
+    q_.matrix() += weights[k] * images_[k].matrix();
+  }
+  product_known_ = true;
+}
+
 SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partition& partition, const NodalField& b,
                                      NodalField& u, double tolerance, int max_iterations,
                                      Preconditioner* preconditioner)
@@ -107,18 +143,19 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
   if (!(scale > 0) || !std::isfinite(scale))
   {
     // Nothing is free, or nothing is finite.
+    product_known_ = false;
     u.setZero();
     r_.matrix().leftCols(u.size()) = b.matrix().leftCols(u.size());
     report.converged = scale == 0;
     report.residual = scale;
     return report;
   }
-  bool may_restart = true;
   double residual_before = std::numeric_limits<double>::infinity();
   while (true)
   {
-    system.product(u, q_);
-    forEachThread(partition, [&](int t) {
+    if (!product_known_) system.product(u, q_);
+    product_known_ = false;
+    forEachPiece(partition, [&](int t) {
       const int begin = partition.nodeBegin(t), count = partition.nodeEnd(t) - begin;
       r_.matrix().middleCols(begin, count) = b.matrix().middleCols(begin, count) - q_.matrix().middleCols(begin, count);
       z_.matrix().middleCols(begin, count).setZero();
@@ -128,14 +165,6 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     double norm2 = sum(partition, [&](int begin, int end) {
       return kernel.advance(begin, end, 0, p_.data(), q_.data(), inverse_.data(), z_.data(), r_.data(), z_.data());
     });
-    if (may_restart && norm2 > scale * scale)
-    {
-      // The start value is worse than none.
-      may_restart = false;
-      u.setZero();
-      continue;
-    }
-    may_restart = false;
     report.residual = std::sqrt(norm2) / scale;
     report.converged = report.residual <= tolerance;
     if (report.converged || report.iterations >= max_iterations || !std::isfinite(norm2)) return report;
@@ -182,7 +211,7 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
       if (!(std::sqrt(norm2) > 0.99 * target)) break;
       rz = slope();
       if (!(rz > 0)) break;
-      forEachThread(partition, [&](int t) {
+      forEachPiece(partition, [&](int t) {
         kernel.redirect(partition.nodeBegin(t), partition.nodeEnd(t), rz / before, z_.data(), p_.data());
       });
     }

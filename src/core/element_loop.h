@@ -30,11 +30,11 @@ inline kernels::NodeShares sharesOf(const Model& model)
 template <class Loop>
 void accumulate(const Model& model, const Partition& partition, int points, double* out, const Loop& loop)
 {
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     loop(elementsOf(model, points), partition.blockBegin(t), partition.blockEnd(t),
          partition.shares() + kernels::ZERO_ROWS * kernels::SHARES);
   });
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     kernels::table().sum_shares(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), partition.shares(),
                                 nullptr, out);
   });
@@ -44,11 +44,11 @@ void accumulate(const Model& model, const Partition& partition, int points, doub
 template <class Loop>
 void accumulateDiagonal(const Model& model, const Partition& partition, int points, double* out, const Loop& loop)
 {
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     loop(elementsOf(model, points), partition.blockBegin(t), partition.blockEnd(t),
          partition.shares() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
   });
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     kernels::table().sum_diagonals(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), partition.shares(),
                                    out);
   });

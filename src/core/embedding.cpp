@@ -147,9 +147,9 @@ void evaluate(const Model& model, const Partition& partition, const NodalField& 
   const auto count = static_cast<Eigen::Index>(points.size());
   positions.resize(3, count);
   if (normals) normals->resize(3, count);
-  const int threads = partition.threads();
-  forEachThread(partition, [&](int t) {
-    for (Eigen::Index i = count * t / threads; i < count * (t + 1) / threads; ++i)
+  const int pieces = partition.pieces();
+  forEachPiece(partition, [&](int t) {
+    for (Eigen::Index i = count * t / pieces; i < count * (t + 1) / pieces; ++i)
     {
       positions.col(i) = position(model, x, points[i]);
       if (!normals) continue;

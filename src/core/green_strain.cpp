@@ -42,7 +42,7 @@ GreenTangent::GreenTangent(const Model& model)
 void linearise(const Model& model, const Partition& partition, const NodalField& x, Projection projection,
                GreenTangent& tangent)
 {
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     kernel(model).linearise(elementsOf(model, 1), partition.blockBegin(t), partition.blockEnd(t),
                             model.block_gradients.data(), x.data(), projection == Projection::POSITIVE_STRESS,
                             tangent.blocks.data());

@@ -168,7 +168,11 @@ void newtonStage(const Model& model, const StepSettings& settings, const Support
   newton.quadraticProduct(state.v, w.force);
   m.quadratic.matrix() += nodes(w.force, model);
   newton.start();
-  if (stage.start_known) newton.tryDirection(w.change);
+  if (stage.past > 0 && (stage.past > 1 || stage.ahead == 0))
+  {
+    w.change.matrix() = (1 + stage.ahead) * w.past[0].matrix() - stage.ahead * w.past[1].matrix();
+    newton.tryDirection(w.change);
+  }
   watch.lap(report.ms.force);
 
   double now = 0, before = 0;

@@ -72,8 +72,9 @@ private:
 struct Stage
 {
   double length;     // s
-  bool start_known;  // workspace.change has a change of v to start the solver from
+  int past;          // how many of workspace.past are changes of v before this stage
   bool lasting;      // more of this length will follow, so that what is factored for it will serve again
+  double ahead;      // where a start that is extrapolated from the last two lies beyond the last, in distances of them
 };
 
 /**

@@ -118,7 +118,7 @@ public:
   /** Leaves the shares of A u. */
   void multiply(const AlignedVector<float>& u)
   {
-    forEachThread(partition_, [&](int t) {
+    forEachPiece(partition_, [&](int t) {
       kernels::table().single_product(elements(), partition_.blockBegin(t), partition_.blockEnd(t), u.data(),
                                       shares_.data() + FIRST_SHARE);
     });
@@ -126,7 +126,7 @@ public:
   /** The same of P c, c of the corners. */
   void multiplyProlonged(const float* corners)
   {
-    forEachThread(partition_, [&](int t) {
+    forEachPiece(partition_, [&](int t) {
       kernels::table().prolonged_product(elements(), partition_.blockBegin(t), partition_.blockEnd(t), corners,
                                          shares_.data() + FIRST_SHARE);
     });
@@ -135,7 +135,7 @@ public:
   /** residual -= what the shares sum up to */
   void subtract()
   {
-    forEachThread(partition_, [&](int t) {
+    forEachPiece(partition_, [&](int t) {
       kernels::table().subtract_shares(sharesOf(model_), partition_.nodeBegin(t), partition_.nodeEnd(t), shares_.data(),
                                        residual.data());
     });
@@ -170,7 +170,7 @@ public:
   /** search = correction + b search */
   void redirect(double b)
   {
-    forEachThread(partition_, [&](int t) {
+    forEachPiece(partition_, [&](int t) {
       kernels::table().single_redirect(partition_.nodeBegin(t), partition_.nodeEnd(t), static_cast<float>(b),
                                        correction.data(), search.data());
     });
@@ -209,7 +209,7 @@ private:
 
   void chebyshev(double keep, double gain)
   {
-    forEachThread(partition_, [&](int t) {
+    forEachPiece(partition_, [&](int t) {
       kernels::table().single_chebyshev(sharesOf(model_), partition_.nodeBegin(t), partition_.nodeEnd(t),
                                         static_cast<float>(keep), static_cast<float>(gain), shares_.data(),
                                         inverse_.data(), residual.data(), direction.data(), correction.data());
@@ -226,7 +226,7 @@ private:
   {
     constexpr std::ptrdiff_t BLOCK = 9 * LANES;
     const auto points = static_cast<float>(rotations.points);
-    forEachThread(partition_, [&](int t) {
+    forEachPiece(partition_, [&](int t) {
       for (std::ptrdiff_t block = partition_.blockBegin(t); block < partition_.blockEnd(t); ++block)
       {
         const double* from = rotations.gradients.data() + block * rotations.points * BLOCK;
@@ -252,7 +252,7 @@ private:
   void takeInverse(const AlignedVector<double>& inverse)
   {
     constexpr int GROUP = kernels::NODE_GROUP;
-    forEachThread(partition_, [&](int t) {
+    forEachPiece(partition_, [&](int t) {
       for (std::ptrdiff_t i = partition_.nodeBegin(t); i < partition_.nodeEnd(t); ++i)
       {
         const double* from = inverse.data() + kernels::INVERSE_STRIDE * i;
@@ -271,11 +271,17 @@ private:
 };
 
 PMultigrid::PMultigrid(const Model& model, const Partition& partition)
-    : linear_(linearModel(model, node_of_vertex_, vertices_of_)),
+    : partition_(partition),
+      linear_(linearModel(model, node_of_vertex_, vertices_of_)),
       linear_rotations_(restRotations(*linear_)),
       factor_(std::make_unique<TurnedFactor>(*linear_)),
       held_vertices_(node_of_vertex_.size())
 {
+  // In seconds on a processor of 2.6 GHz, so that the ratio is one of work and not of today's clock.
+  const SparseCholesky& cholesky = factor_->cholesky();
+  const double factor = 1e-10 * cholesky.work();
+  const double iteration = 4e-7 * model.num_tets + 8e-10 * static_cast<double>(cholesky.size());
+  cost_ = std::max(10.0, factor / iteration);
   if (!model.quadratic()) return;
   quadratic_ = std::make_unique<QuadraticLevel>(model, partition, *linear_);
   edges_begin_.assign(node_of_vertex_.size() + 1, 0);
@@ -304,8 +310,7 @@ void PMultigrid::forget()
 
 void PMultigrid::took(int iterations)
 {
-  constexpr int COST = 10;  // of a factor, in iterations
-  factor_->took(iterations, COST);
+  factor_->took(iterations, cost_);
 }
 
 bool PMultigrid::prepare(const Model& model, const Rotations& rotations, const HeldAxes& held, double alpha,
@@ -347,18 +352,24 @@ void PMultigrid::cycle()
   using ConstNode = Eigen::Map<const Eigen::Vector4f, Eigen::Aligned16>;
   const float* residual = level.residual.data();
   // Regions hold edges where they hold both corners: so edges need no mask of their own.
-  for (std::size_t k = 0; k < node_of_vertex_.size(); ++k)
-  {
-    Eigen::Vector4f edges = Eigen::Vector4f::Zero();
-    for (int e = edges_begin_[k]; e < edges_begin_[k + 1]; ++e) edges += ConstNode(residual + 4L * edges_[e]);
-    Node(factor_->right() + 4 * k) = ConstNode(residual + 4L * node_of_vertex_[k]) + 0.5f * edges;
-  }
+  const int vertices = static_cast<int>(node_of_vertex_.size());
+  const int pieces = partition_.pieces();
+  forEachPiece(partition_, [&](int piece) {
+    for (int k = vertices * piece / pieces; k < vertices * (piece + 1) / pieces; ++k)
+    {
+      Eigen::Vector4f edges = Eigen::Vector4f::Zero();
+      for (int e = edges_begin_[k]; e < edges_begin_[k + 1]; ++e) edges += ConstNode(residual + 4L * edges_[e]);
+      Node(factor_->right() + 4L * k) = ConstNode(residual + 4L * node_of_vertex_[k]) + 0.5f * edges;
+    }
+  });
   const float* corners = factor_->solve();
-  for (std::size_t i = 0; i < vertices_of_.size(); ++i)
-  {
-    const auto [a, b] = vertices_of_[i];
-    Node(level.correction.data() + 4 * i) += 0.5f * (ConstNode(corners + 4L * a) + ConstNode(corners + 4L * b));
-  }
+  forEachPiece(partition_, [&](int piece) {
+    for (int i = partition_.nodeBegin(piece); i < partition_.nodeEnd(piece); ++i)
+    {
+      const auto [a, b] = vertices_of_[i];
+      Node(level.correction.data() + 4L * i) += 0.5f * (ConstNode(corners + 4L * a) + ConstNode(corners + 4L * b));
+    }
+  });
   level.multiplyProlonged(corners);
   level.smooth(false);
 }

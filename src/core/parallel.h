@@ -7,18 +7,21 @@
 
 namespace bezier_fem
 {
-/** Calls f(thread) for every thread of the partition, at the same time where there are several. */
+/** work(data, piece) for every piece, by several threads that claim them. */
+void runPieces(int threads, int pieces, void (*work)(const void*, int), const void* data);
+
+/** Calls f(piece) for every piece of the partition, at the same time where there are several threads. */
 template <class F>
-void forEachThread(const Partition& partition, const F& f)
+void forEachPiece(const Partition& partition, const F& f)
 {
-  const int threads = partition.threads();
-  if (threads == 1)
+  if (partition.threads() == 1)
   {
     f(0);
     return;
   }
-#pragma omp parallel for schedule(static, 1) num_threads(threads)
-  for (int t = 0; t < threads; ++t) f(t);
+  runPieces(
+      partition.threads(), partition.pieces(), [](const void* data, int piece) { (*static_cast<const F*>(data))(piece); },
+      &f);
 }
 
 /**
@@ -28,7 +31,7 @@ void forEachThread(const Partition& partition, const F& f)
 template <class F>
 double sumOverNodes(const Partition& partition, std::vector<double>& partial, const F& f)
 {
-  forEachThread(partition, [&](int t) {
+  forEachPiece(partition, [&](int t) {
     for (int chunk = partition.chunkBegin(t); chunk < partition.chunkEnd(t); ++chunk)
     {
       partial[chunk] = f(partition.firstOf(chunk), partition.firstOf(chunk + 1));

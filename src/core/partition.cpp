@@ -6,14 +6,15 @@
 
 namespace bezier_fem
 {
-Partition::Partition(const Model& model, int threads) : num_nodes_(model.num_nodes)
+Partition::Partition(const Model& model, int threads) : num_nodes_(model.num_nodes), threads_(std::clamp(threads, 1, model.num_blocks))
 {
   static_assert(CHUNK % kernels::NODE_GROUP == 0, "chunks are whole groups");
-  threads = std::clamp(threads, 1, model.num_blocks);
-  for (int t = 0; t <= threads; ++t)
+  constexpr int PIECES = 4;  // of a thread
+  const int pieces = threads_ == 1 ? 1 : std::min(PIECES * threads_, model.num_blocks);
+  for (int t = 0; t <= pieces; ++t)
   {
-    block_begin_.push_back(static_cast<int>(static_cast<long>(model.num_blocks) * t / threads));
-    chunk_begin_.push_back(static_cast<int>(static_cast<long>(numChunks()) * t / threads));
+    block_begin_.push_back(static_cast<int>(static_cast<long>(model.num_blocks) * t / pieces));
+    chunk_begin_.push_back(static_cast<int>(static_cast<long>(numChunks()) * t / pieces));
   }
   // Diagonals have two rows a node.
   shares_.resize(2 * kernels::SHARES *

@@ -195,7 +195,7 @@ Turn updateRotations(const Model& model, const Partition& partition, const Nodal
                                      : before.rule == RotationRule::FROM_CENTROID ? kernels::Gradient::AT_CENTROID
                                                                                   : kernels::Gradient::AT_FOUR_POINTS;
   std::atomic<double> largest{0};
-  forEachThread(partition, [&](int thread) {
+  forEachPiece(partition, [&](int thread) {
     const int begin = partition.blockBegin(thread), end = partition.blockEnd(thread);
     kernels::table().update_rotations(elements, gradient, begin, end, model.block_gradients.data(), x.data(),
                                       before.matrices.data(), after.matrices.data(), after.gradients.data(),

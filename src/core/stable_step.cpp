@@ -133,7 +133,7 @@ SpectralBound::SpectralBound(const Model& model, const Partition& partition)
     : stiffness_(model.num_tets), gradient_(model.num_tets)
 {
   const MatrixXd inverse_mass = inverseMass(model.quadratic());
-  forEachThread(partition, [&](int thread) {
+  forEachPiece(partition, [&](int thread) {
     const int end = std::min(partition.blockEnd(thread) * LANES, model.num_tets);
     for (int t = partition.blockBegin(thread) * LANES; t < end; ++t)
     {
@@ -159,8 +159,8 @@ double SpectralBound::green(const Model& model, const Partition& partition, cons
   // mean of F at the corners, the norm of the first is at most that of sym(A^T grad u), the strain of A^T u at rest,
   // and of sym(D^T grad u); and it is at most the largest stretch times that of the stiffest strain. F is linear and
   // F^T F convex in between the corners: their largest values are there.
-  std::vector<double> largest(partition.threads(), 0.0);
-  forEachThread(partition, [&](int thread) {
+  std::vector<double> largest(partition.pieces(), 0.0);
+  forEachPiece(partition, [&](int thread) {
     const int end = std::min(partition.blockEnd(thread) * LANES, model.num_tets);
     const int corners = model.quadratic() ? CORNERS : 1;
     for (int t = partition.blockBegin(thread) * LANES; t < end; ++t)

@@ -103,7 +103,7 @@ public:
     ++state_.steps;
     state_.time = settings_.time_step * static_cast<double>(state_.steps);
     if (settings_.elasticity == Elasticity::GREEN) report.inverted = invertedElements(model_, state_.x);
-    w_.history = report.substeps == 1 ? std::min(w_.history + 1, 2) : 0;
+    w_.history = report.substeps == 1 ? std::min(w_.history + 1, 3) : 0;
     total.lap(report.ms.total);
     return report;
   }
@@ -116,9 +116,8 @@ private:
   {
     takeLoads(state_.time + h / 2, state_.x, report);
     leadTo(h);
-    const bool known = w_.history == 2 && h == settings_.time_step;
-    if (known) w_.change.matrix() = 2 * w_.last_change.matrix() - w_.last_but_one_change.matrix();
-    solveStage({h, known, h == settings_.time_step}, state_.rotations, report);
+    const bool whole = h == settings_.time_step;
+    solveStage({h, whole ? w_.history : 0, whole, 1}, state_.rotations, report);
     remember();
     return turn(state_.x, state_.rotations, w_.candidate, report);
   }
@@ -176,7 +175,8 @@ private:
   {
     // Loads that come and go do so between steps: one time for both stages, and their impulse is exact.
     const double stage = GAMMA * h, ahead = (1 - GAMMA) / GAMMA, load_time = state_.time + h / 2;
-    const bool lasting = h == settings_.time_step, known = w_.history > 0 && lasting;
+    const bool lasting = h == settings_.time_step;
+    const int known = lasting ? 2 * w_.history : 0;
 
     // Led components: the first stage has the slope of a chord around its end, so that the second one's velocity,
     // which takes them to where they have to be, is of second order too.
@@ -186,12 +186,7 @@ private:
     x.matrix() = state_.x.matrix() + stage * state_.v.matrix();
     turn(x, state_.rotations, w_.stage_rotations, report);
     takeLoads(load_time, x, report);
-    if (known)
-    {
-      w_.change.matrix() =
-          w_.last_change.matrix() + (w_.last_change.matrix() - w_.last_but_one_change.matrix()) / ahead;
-    }
-    solveStage({stage, known, lasting}, w_.stage_rotations, report);
+    solveStage({stage, known, lasting, 1 / ahead}, w_.stage_rotations, report);
     remember();
     if (!report.finite) return 0;
 
@@ -202,8 +197,7 @@ private:
     turn(x, w_.stage_rotations, w_.candidate, report);
     takeLoads(load_time, x, report);
     leadTo(h);
-    w_.change.matrix() = w_.last_change.matrix();
-    solveStage({stage, true, lasting}, w_.candidate, report);
+    solveStage({stage, known + 1, lasting, 0}, w_.candidate, report);
     remember();
     std::swap(w_.stage_rotations, w_.candidate);
     return turn(state_.x, w_.stage_rotations, w_.candidate, report);
@@ -226,8 +220,8 @@ private:
   /** The solved change of v, for the next ones to start from. */
   void remember()
   {
-    std::swap(w_.last_change, w_.last_but_one_change);
-    w_.last_change.matrix() = w_.change.matrix();
+    std::rotate(w_.past.begin(), w_.past.end() - 1, w_.past.end());
+    w_.past[0].matrix() = w_.change.matrix();
   }
 
   double turn(const NodalField& x, const Rotations& before, Rotations& after, StepReport& report)
@@ -292,7 +286,7 @@ private:
       w_.rhs.matrix() -= nodes(w_.force, model_);
     }
 
-    if (!stage.start_known) w_.change.setZero();
+    w_.solver.start(system, w_.partition, w_.rhs, w_.past, std::min(stage.past, 3), w_.change);
     solveLinear(model_, settings_, supports_, rotations, system, alpha, beta, settings_.solver.tolerance,
                 std::max(1, settings_.solver.max_iterations),
                 !stage.lasting                               ? Serves::ONCE
@@ -334,8 +328,6 @@ Workspace::Workspace(const Model& model, const StepSettings& settings, int threa
       rhs(model.num_nodes),
       led(model.num_nodes),
       change(model.num_nodes),
-      last_change(model.num_nodes),
-      last_but_one_change(model.num_nodes),
       x_before(model.num_nodes),
       v_before(model.num_nodes),
       predicted(model.num_nodes),
@@ -343,6 +335,7 @@ Workspace::Workspace(const Model& model, const StepSettings& settings, int threa
       stage_rotations(candidate),
       turned(candidate.flags.size())
 {
+  past.fill(NodalField(model.num_nodes));
   if (settings.solver.system_operator == Scene::Solver::Operator::ASSEMBLED)
   {
     assembled = std::make_unique<AssembledSystem>(model, partition);

@@ -1,0 +1,131 @@
+#include "parallel.h"
+
+#include <atomic>
+#include <condition_variable>
+#include <mutex>
+#include <thread>
+
+namespace bezier_fem
+{
+namespace
+{
+/** Hints that this is a loop that waits. */
+void pause()
+{
+#if defined(__x86_64__) || defined(__i386__)
+  __builtin_ia32_pause();
+#endif
+}
+
+/**
+ * Threads that wait for work. Pieces are claimed one by one, and whoever has called works on them too: so a thread that
+ * another program keeps from its core is waited for only where it has begun a piece.
+ */
+class Team
+{
+public:
+  ~Team()
+  {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      stop_ = true;
+    }
+    wake_.notify_all();
+    for (std::thread& thread : threads_) thread.join();
+  }
+
+  void run(int threads, int pieces, void (*work)(const void*, int), const void* data)
+  {
+    const std::unique_lock<std::mutex> lock(busy_, std::try_to_lock);
+    if (!lock)
+    {
+      // Another body's step has the team.
+      for (int piece = 0; piece < pieces; ++piece) work(data, piece);
+      return;
+    }
+    while (static_cast<int>(threads_.size()) < threads - 1) threads_.emplace_back([this] { serve(); });
+    work_.store(work, std::memory_order_relaxed);
+    data_.store(data, std::memory_order_relaxed);
+    pieces_.store(pieces, std::memory_order_relaxed);
+    done_.store(0, std::memory_order_relaxed);
+    const std::uint64_t job = (claimed_.load(std::memory_order_relaxed) >> 32) + 1;
+    claimed_.store(job << 32);
+    if (asleep_.load() > 0)
+    {
+      const std::lock_guard<std::mutex> sleepers(mutex_);
+      wake_.notify_all();
+    }
+    help(job);
+    for (int spins = 0; done_.load(std::memory_order_acquire) < pieces; ++spins)
+    {
+      spins < SPINS ? pause() : std::this_thread::yield();
+    }
+  }
+
+private:
+  static constexpr int SPINS = 1000, YIELDS = 1000;
+
+  /** Works on pieces of the job until all are claimed, or until another job has begun. */
+  void help(std::uint64_t job)
+  {
+    std::uint64_t claimed = claimed_.load();
+    while (claimed >> 32 == job)
+    {
+      // What belongs to the job is read before the claim, which fails if it was the next one's.
+      const auto work = work_.load(std::memory_order_acquire);
+      const void* data = data_.load(std::memory_order_acquire);
+      const auto piece = static_cast<int>(claimed & 0xffffffff);
+      if (piece >= pieces_.load(std::memory_order_acquire)) return;
+      if (!claimed_.compare_exchange_weak(claimed, claimed + 1)) continue;
+      work(data, piece);
+      done_.fetch_add(1, std::memory_order_release);
+      claimed = claimed_.load();
+    }
+  }
+
+  void serve()
+  {
+    std::uint64_t last = 0;
+    while (true)
+    {
+      std::uint64_t job = claimed_.load() >> 32;
+      for (int spins = 0; job == last && spins < SPINS + YIELDS; ++spins)
+      {
+        spins < SPINS ? pause() : std::this_thread::yield();
+        job = claimed_.load() >> 32;
+      }
+      if (job == last)
+      {
+        std::unique_lock<std::mutex> lock(mutex_);
+        asleep_.fetch_add(1);
+        wake_.wait(lock, [&] { return stop_ || claimed_.load() >> 32 != last; });
+        asleep_.fetch_sub(1);
+        if (stop_) return;
+        continue;
+      }
+      last = job;
+      help(job);
+    }
+  }
+
+  std::mutex busy_;
+  std::vector<std::thread> threads_;
+  std::atomic<std::uint64_t> claimed_ = 0;  // the number of the job, and in the lower half of its pieces claimed
+  std::atomic<void (*)(const void*, int)> work_ = nullptr;
+  std::atomic<const void*> data_ = nullptr;
+  std::atomic<int> pieces_ = 0, done_ = 0;
+
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  std::atomic<int> asleep_ = 0;
+  bool stop_ = false;
+};
+}  // namespace
+
+void runPieces(int threads, int pieces, void (*work)(const void*, int), const void* data)
+{
+  static Team team;
+  team.run(threads, pieces, work, data);
+}
+
+}  // namespace bezier_fem
