@@ -139,8 +139,9 @@ def kernels(sizes):
         of multiply-adds and what its data take at the bandwidth of a triad or of a read of the same size, the faster
         one, all measured in this run; operations and bytes are counted from the formulas (`bench/roofline.cpp`). The
         peak takes every operation for half of a fused one; a kernel that also gathers, shuffles and adds singly cannot
-        get near it. Elements store their shares, which are summed up node by node: these bytes are counted as written
-        and as read. The product in double is what residuals are made of, the one in single precision what the solver
+        get near it. Bytes
+        are those that a loop goes through, each place once, as a triad's three arrays are counted; elements store their
+        shares, which a second loop sums up node by node. The product in double is what residuals are made of, the one in single precision what the solver
         iterates with; *products* are of a plain product in double for both. Data are in cache if they fit.""")
     yield from table(["peak", ""], [list(row.values()) for row in sizes["small"]["peaks"]])
     for size in sizes.values():

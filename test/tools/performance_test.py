@@ -3,6 +3,7 @@
 
     performance_test.py [BENCH_STEPS BENCH_ROOFLINE]
 """
+import copy
 import os
 import subprocess
 import sys
@@ -61,7 +62,8 @@ def everything():
                       "products": [0.2, 0.21],
                       "others": [bullet("dynamic", 20, 0.25), bullet("static", 100, 0.2)]}}
     rows = [kernel("product", 0.25), kernel("rotations", 0.15), kernel("product", 0.2, "single")]
-    told["kernels"] = {size: {"peaks": [{"peak": "multiply-add, double", "": "60 GFlop/s"}], "rows": rows, "set": "avx2"}
+    told["kernels"] = {size: {"peaks": [{"peak": "multiply-add, double", "": "60 GFlop/s"}],
+                              "rows": copy.deepcopy(rows), "set": "avx2"}
                        for size in ("small", "large")}
     return told
 
