@@ -36,11 +36,6 @@ def earlier(revision):
                    "-DBEZIER_FEM_BENCH=ON", "-DBUILD_TESTING=OFF")
         tools.call("cmake", "--build", build, "--parallel", os.cpu_count(), "--target", "bench_steps",
                    "bench_variants", "bezier_fem_programs")
-    for name in ("bench_bullet_single", "bench_bullet_double"):  # which are not ours, and not measured twice
-        link = os.path.join(programs, name)
-        if os.path.lexists(link):
-            os.remove(link)
-        os.symlink(tools.program(name), link)
     return programs
 
 
