@@ -23,11 +23,12 @@ def steps_of(scene, overrides, steps, threads=(1,)):
 
 
 def earlier(revision):
-    """The programs of an earlier revision, built beside its sources; a folder."""
+    """The programs of an earlier revision, built once, beside its sources; a folder."""
     source = os.path.join(tools.folder("before"), revision)
     build = source + "_build"
     programs = os.path.join(build, "lib", "bezier_fem")
-    if not all(os.access(os.path.join(programs, name), os.X_OK) for name in ("bench_steps", "bench_variants", "run_scene")):
+    needed = ("bench_steps", "bench_variants", "run_scene")
+    if not all(os.access(os.path.join(programs, name), os.X_OK) for name in needed):
         tools.say(f"building {revision}")
         if not os.path.isdir(source):
             tools.call("git", "-C", tools.REPOSITORY, "worktree", "prune")

@@ -73,7 +73,8 @@ def steps(rows):
         the lowest 5 % held, falling from rest; medians of the first steps from rest, everything counted, by
         `bench/steps.cpp`. Each step is solved to {scenes.TOLERANCE:.0e}; the worst residual of all is given.
         *Classic*: CG with the 3×3 diagonal blocks on the assembled matrix, over as many steps for
-        {scenes.CLASSIC_CLAIMED}, over the first {scenes.FEW_STEPS} for the others. *Before*: the default of the revision that
+        {scenes.CLASSIC_CLAIMED}, over the first {scenes.FEW_STEPS} for the others.
+        *Before*: the default of the revision that
         the front below is compared with, in the same run.""")
     yield from table(["scene", "tets", "nodes", "iterations", "worst residual", "one product (ms)",
                       "step, one thread (ms)", "in products", "at most", "two threads (ms)", "of one's", "classic (ms)",
@@ -107,13 +108,15 @@ def linear(rows):
         1e-5) and VegaFEM (double, to 1e-6) are published figures for bodies of about this size **on another machine**,
         one core: an order of magnitude, not a race.""")
     yield from table(["scene", "tets", "nodes", "iterations", "worst residual", "step (ms)", "in products",
-                      "longest step (ms)", "blocks: iterations", "blocks (ms)", "blocks / step", "at least", "assembled (ms)",
+                      "longest step (ms)", "blocks: iterations", "blocks (ms)", "blocks / step", "at least",
+                      "assembled (ms)",
                       "FEMFX, elsewhere (ms)", "VegaFEM, elsewhere (ms)"],
                      [[row["name"], row["own"]["tets"], row["own"]["nodes"], row["own"]["iterations"],
                        f"{row['own']['worst residual']:.1e}", f"{row['own']['whole step']:.2f}",
                        f"{judged.products(row['own']):.0f}", f"{row['own']['longest step']:.1f}",
                        row["blocks"]["iterations"], f"{row['blocks']['whole step']:.1f}",
-                       f"{row['blocks']['whole step'] / row['own']['whole step']:.1f}", least, f"{row['assembled']['whole step']:.1f}",
+                       f"{row['blocks']['whole step'] / row['own']['whole step']:.1f}", least,
+                       f"{row['assembled']['whole step']:.1f}",
                        f"{there['FEMFX']} ({there['tets']} tets)", f"{there['VegaFEM']} ({there['tets']} tets)"]
                       for name, _, _, least, there in scenes.LINEAR if (row := judged.named(rows, name))])
 
@@ -135,14 +138,14 @@ def growth(rows):
 def kernels(sizes):
     yield from paragraph("## Kernels")
     yield from paragraph(f"""
-        One thread, {sizes['small']['set']}. A kernel's bound is the longer of what its arithmetic takes at the peak rate
-        of multiply-adds and what its data take at the bandwidth of a triad or of a read of the same size, the faster
-        one, all measured in this run; operations and bytes are counted from the formulas (`bench/roofline.cpp`). The
-        peak takes every operation for half of a fused one; a kernel that also gathers, shuffles and adds singly cannot
-        get near it. Bytes
-        are those that a loop goes through, each place once, as a triad's three arrays are counted; elements store their
-        shares, which a second loop sums up node by node. The product in double is what residuals are made of, the one in single precision what the solver
-        iterates with; *products* are of a plain product in double for both. Data are in cache if they fit.""")
+        One thread, {sizes['small']['set']}. A kernel's bound is the longer of what its arithmetic takes at the peak
+        rate of multiply-adds and what its data take at the bandwidth of a triad or of a read of the same size, the
+        faster one, all measured in this run; operations and bytes are counted from the formulas
+        (`bench/roofline.cpp`). The peak takes every operation for half of a fused one; a kernel that also gathers,
+        shuffles and adds singly cannot get near it. Bytes are those that a loop goes through, each place once, as a
+        triad's three arrays are counted; elements store their shares, which a second loop sums up node by node. The
+        product in double is what residuals are made of, the one in single precision what the solver iterates with;
+        *products* are of a plain product in double for both. Data are in cache if they fit.""")
     yield from table(["peak", ""], [list(row.values()) for row in sizes["small"]["peaks"]])
     for size in sizes.values():
         first = size["rows"][0]
@@ -168,7 +171,8 @@ def peers(told):
     yield from paragraph("""
         The bar of `config/bar.yaml`, same run, one thread. Bullet's deformable body (linear elements, co-rotated,
         lumped masses, implicit) with its demos' settings and converged; CalculiX is in
-        [doc/speed_accuracy.md](speed_accuracy.md). Against each stands the fastest of our points that errs no more at the tip, of the
+        [doc/speed_accuracy.md](speed_accuracy.md).
+        Against each stands the fastest of our points that errs no more at the tip, of the
         same law. *At rest*: time of finding the equilibrium, which Bullet does by damped motion.""")
     rows = []
     for other, own, ratio in judged.peers(told):
