@@ -101,9 +101,9 @@ def steps(rows):
 def linear(rows):
     yield from paragraph("## Linear elements")
     yield from paragraph(f"""
-        The same scenes on linear elements, to {scenes.LINEAR_TOLERANCE:.0e}, beside CG with the 3×3 diagonal blocks from
-        the same start and with the same rotations (`solver.preconditioner: block_jacobi`), and that on the assembled
-        matrix. The longest step has a
+        The same scenes on linear elements, to {scenes.LINEAR_TOLERANCE:.0e}, beside CG with the 3×3 diagonal blocks
+        from the same start and with the same rotations (`solver.preconditioner: block_jacobi`), and that on the
+        assembled matrix (`solver.operator: assembled`). The longest step has a
         factorisation in it: what it takes more than the median is about what that costs. FEMFX (single precision, to
         1e-5) and VegaFEM (double, to 1e-6) are published figures for bodies of about this size **on another machine**,
         one core: an order of magnitude, not a race.""")
