@@ -11,6 +11,8 @@ struct Peak
   float (*rounds_single)(long rounds);
   /** a = b + s c, whole cache lines of 8 numbers. */
   void (*triad)(std::size_t size, double s, const double* b, const double* c, double* a);
+  /** The sum of an array, whole cache lines. */
+  double (*read)(std::size_t size, const double* a);
 };
 
 /** By the name of a kernels::Table. */

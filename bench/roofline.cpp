@@ -1,12 +1,13 @@
 // What each kernel takes of what the processor can do: its time beside the time that its arithmetic would take at the
-// peak rate of multiply-adds and its data at the bandwidth of a triad of the same size, whichever is longer (Williams,
-// Waterman, Patterson 2009, "Roofline"). All measured in the same run, on one thread, with the kernels' instruction
-// set; and in products of an assembled matrix of the same model (yardstick.h).
+// peak rate of multiply-adds and its data at the bandwidth of a triad of the same size, or of a read where that is
+// faster, whichever is longer (Williams, Waterman, Patterson 2009, "Roofline"). All measured in the same run, on one
+// thread, with the kernels' instruction set; and in products of an assembled matrix of the same model (yardstick.h).
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
 #include <functional>
 #include <iostream>
+#include <memory>
 #include <utility>
 
 #include "bezier_fem/assembled_matrix.h"
@@ -14,6 +15,7 @@
 #include "bezier_fem/simulation.h"
 #include "kernels.h"
 #include "peak.h"
+#include "sparse_cholesky.h"
 #include "yardstick.h"
 
 namespace
@@ -38,10 +40,10 @@ class Machine
 public:
   explicit Machine(const Peak& peak)
   {
-    constexpr long ROUNDS = 2000000;
+    constexpr long ROUNDS = 1000000;
     volatile double sink = 0;
-    gflops_double_ = 1e-6 * ROUNDS * peak.flops_double / shortest(5, [&]() { sink = peak.rounds_double(ROUNDS); });
-    gflops_single_ = 1e-6 * ROUNDS * peak.flops_single / shortest(5, [&]() { sink = peak.rounds_single(ROUNDS); });
+    gflops_double_ = 1e-6 * ROUNDS * peak.flops_double / shortest(21, [&]() { sink = peak.rounds_double(ROUNDS); });
+    gflops_single_ = 1e-6 * ROUNDS * peak.flops_single / shortest(21, [&]() { sink = peak.rounds_single(ROUNDS); });
 
     constexpr std::size_t LEAST = 1 << 15, MOST = 1 << 28;
     for (std::size_t bytes = LEAST; bytes <= MOST; bytes *= 2)
@@ -49,39 +51,54 @@ public:
       const std::size_t size = bytes / (3 * sizeof(double)) / 8 * 8;
       AlignedVector<double> a(size), b(size, 1.0), c(size, 2.0);
       const int passes = static_cast<int>(std::max<std::size_t>(1, MOST / 8 / bytes));
-      const double ms = shortest(5, [&]() {
+      const double ms = shortest(9, [&]() {
         for (int k = 0; k < passes; ++k) peak.triad(size, 0.5, b.data(), c.data(), a.data());
       });
+      volatile double sum = 0;
+      const double read_ms = shortest(9, [&]() {
+        for (int k = 0; k < passes; ++k)
+          sum = peak.read(size, a.data()) + peak.read(size, b.data()) + peak.read(size, c.data());
+      });
       const double moved = 3.0 * sizeof(double) * static_cast<double>(size);
-      bandwidth_.emplace_back(moved, 1e-6 * moved * passes / ms);
+      bandwidth_.push_back({moved, 1e-6 * moved * passes / ms, 1e-6 * moved * passes / read_ms});
     }
   }
 
   double gflops(bool single) const { return single ? gflops_single_ : gflops_double_; }
-  /** GB/s of a triad whose three arrays have that many bytes together. */
+  /** GB/s where that many bytes are gone through again and again: of a triad or of a read, the faster one. */
   double bandwidth(double bytes) const
   {
-    if (bytes <= bandwidth_.front().first) return bandwidth_.front().second;
+    if (bytes <= bandwidth_.front().bytes) return bandwidth_.front().most();
     for (std::size_t k = 1; k < bandwidth_.size(); ++k)
     {
-      const auto& [size, rate] = bandwidth_[k];
-      const auto& [smaller, before] = bandwidth_[k - 1];
-      if (bytes <= size) return before + (rate - before) * std::log(bytes / smaller) / std::log(size / smaller);
+      const Bandwidth &before = bandwidth_[k - 1], &here = bandwidth_[k];
+      if (bytes > here.bytes) continue;
+      return before.most() +
+             (here.most() - before.most()) * std::log(bytes / before.bytes) / std::log(here.bytes / before.bytes);
     }
-    return bandwidth_.back().second;
+    return bandwidth_.back().most();
   }
   void print() const
   {
     std::printf(
         "| peak | |\n|---|---|\n| multiply-add, double | %.1f GFlop/s |\n| multiply-add, single | %.1f GFlop/s |\n",
         gflops_double_, gflops_single_);
-    for (const auto& [bytes, rate] : bandwidth_) std::printf("| triad, %.0f kB | %.1f GB/s |\n", bytes / 1e3, rate);
+    for (const Bandwidth& of : bandwidth_)
+    {
+      std::printf("| triad, %.0f kB | %.1f GB/s |\n| read, %.0f kB | %.1f GB/s |\n", of.bytes / 1e3, of.triad,
+                  of.bytes / 1e3, of.read);
+    }
     std::printf("\n");
   }
 
 private:
+  struct Bandwidth
+  {
+    double bytes, triad, read;  // GB/s
+    double most() const { return std::max(triad, read); }
+  };
   double gflops_double_, gflops_single_;
-  std::vector<std::pair<double, double>> bandwidth_;  // bytes and GB/s, sizes ascending
+  std::vector<Bandwidth> bandwidth_;  // sizes ascending
 };
 
 struct Kernel
@@ -93,8 +110,13 @@ struct Kernel
    * what a compiler finds twice is counted once.
    */
   double flops;
-  /** What is read and what is written, once each, as STREAM counts: a line that is written is not counted as read. */
+  /**
+   * What every loop of it goes through, each place once, whether it is read, written or both: as STREAM counts the
+   * triad's three arrays.
+   */
   double bytes;
+  /** Of these, what an earlier loop of it went through. */
+  double again;
   std::function<void()> run;
 };
 
@@ -115,10 +137,19 @@ constexpr int FORCES = 4 * 15 + 6 * (2 * 15 + 3);
 /** t_a of five nodes each; half their sum; that and t_a; for ten nodes t_b and u_ab added, scaled, added to the force.
  */
 constexpr int MASS = 4 * 4 * 3 + (9 + 3) + 4 * 3 + 10 * (3 + 3 + 3 + 3);
-/** Ten nodes are added to. */
+/** Ten shares are added to the sums of their nodes. */
 constexpr int SCATTER = 10 * 3;
-/** alpha, beta and 1/210 to the coefficients */
-constexpr int PRODUCT = 4 + GRADIENT_0 + STRESSES + FORCES + MASS + SCATTER;
+/** 1/210 to the coefficient */
+constexpr int SINGLE_PRODUCT = 1 + GRADIENT_0 + STRESSES + FORCES + MASS;
+/** alpha and beta to the coefficients */
+constexpr int PRODUCT = 3 + SINGLE_PRODUCT + SCATTER;
+/**
+ * 1/2 to lambda and mu, 2 mu, a stress; half the sum of four corners, 1/60 to the coefficient; four corners of which
+ * the stress, the mass and both are added to; ten sums of two.
+ */
+constexpr int PROLONGED_PRODUCT = 2 + 1 + GRADIENT_0 + STRESS + 12 + 1 + 4 * (6 + 15 + 3) + 10 * 3;
+/** Of a node: B^-1 r. */
+constexpr int INVERSE_PRODUCT = 15;
 /** With the identity taken from the normal strains. */
 constexpr int FORCE = GRADIENT_0 + STRESSES + 4 * 3 + FORCES + SCATTER;
 
@@ -126,7 +157,7 @@ constexpr int FORCE = GRADIENT_0 + STRESSES + 4 * 3 + FORCES + SCATTER;
 constexpr int SYMMETRIC_H = 6 + 9 + 12;
 /**
  * beta, alpha, 1/35 and 2/105, sums of lambda and mu; four H_aa; a fifth of them at corners; at edges a fifth of the
- * sum of two and an H_ab; of the mass to diagonals; ten blocks added to.
+ * sum of two and an H_ab; of the mass to diagonals; ten blocks added to the sums of their nodes.
  */
 constexpr int DIAGONAL = 5 + 3 + GRADIENT_0 + 4 * SYMMETRIC_H + 4 * 6 + 6 * (SYMMETRIC_H + 3 * 6) + 10 * 3 + 10 * 6;
 
@@ -138,6 +169,97 @@ constexpr int DIAGONAL = 5 + 3 + GRADIENT_0 + 4 * SYMMETRIC_H + 4 * 6 + 6 * (SYM
 constexpr int ROTATION = 9 + 45 + 30 + 27 + 5 + 2 + 2 + 12 + 2 + 2 * (5 + 2 + 10 + 2) + 4 + 2 + 4 + 9 + 63 + 27 + 45;
 
 // ------------------------------------------------------------------------------------------------------------------
+
+/** The factor of the system of linear elements on the same tetrahedra, at rest. */
+class Factor
+{
+public:
+  Factor(const std::string& file, std::vector<std::string> overrides)
+  {
+    overrides.emplace_back("element=linear");
+    const Simulation simulation(loadScene(file, overrides), 1, [](const std::string&) {});
+    const Model& model = simulation.model();
+    const double dt = simulation.scene().time_step;
+    AssembledMatrix A(model);
+    FusedAssembler(model, A).assemble(model, Partition(model, 1), restRotations(model), 1, dt * dt, A);
+    cholesky_ = std::make_unique<SparseCholesky>(A, model.rest);
+    if (!cholesky_->factor(A)) throw std::runtime_error(file + ": cannot be factored");
+    right_.assign(4L * A.rows(), 1.0f);
+    left_.resize(right_.size());
+  }
+  double numbers() const { return static_cast<double>(cholesky_->size()); }
+  double vertices() const { return static_cast<double>(right_.size()) / 4; }
+  void solve() { cholesky_->solve(right_.data(), left_.data()); }
+
+private:
+  std::unique_ptr<SparseCholesky> cholesky_;
+  AlignedVector<float> right_, left_;
+};
+
+/** Panels like those of a factor's large supernodes, of as many numbers as the factor has. */
+class Panels
+{
+public:
+  static constexpr int ROWS = 240, COLUMNS = 48;
+  explicit Panels(double numbers)
+      : count_(std::max(1, static_cast<int>(numbers / (ROWS * COLUMNS)))),
+        values_(static_cast<std::size_t>(count_) * ROWS * COLUMNS, 1e-3f),
+        long_(ROWS, 1.0f),
+        short_(COLUMNS, 1.0f)
+  {
+  }
+  double numbers() const { return static_cast<double>(values_.size()); }
+  void product()
+  {
+    for (int k = 0; k < count_; ++k)
+      kernels::table().panel_product(ROWS, COLUMNS, panel(k), short_.data(), long_.data());
+  }
+  void transposeProduct()
+  {
+    for (int k = 0; k < count_; ++k)
+      kernels::table().panel_transpose_product(ROWS, COLUMNS, panel(k), long_.data(), short_.data());
+  }
+
+private:
+  const float* panel(int k) const { return values_.data() + static_cast<std::ptrdiff_t>(k) * ROWS * COLUMNS; }
+  int count_;
+  AlignedVector<float> values_, long_, short_;
+};
+
+/** What the kernels in single precision work on, for a model of quadratic elements; values of the size of 1. */
+struct SingleData
+{
+  SingleData(const Model& model, const Rotations& rotations, double alpha, double beta)
+      : rotated(rotations.gradients.begin(), rotations.gradients.end()),
+        shares(kernels::SHARES * (kernels::ZERO_ROWS + static_cast<std::size_t>(model.num_blocks) * QUADRATIC_NODES))
+  {
+    constexpr std::size_t GROUP = kernels::NODE_GROUP;
+    const std::size_t nodes = (static_cast<std::size_t>(model.num_nodes) + GROUP - 1) / GROUP * GROUP;
+    for (AlignedVector<float>* field : {&x, &r, &s, &p, &q, &d, &z}) field->assign(4 * nodes, 1.0f);
+    inverse.assign(12 * nodes, 0.1f);
+    for (std::size_t k = 0; k < model.block_coefficients.size(); ++k)
+    {
+      coefficients.push_back(static_cast<float>((k / LANES % 3 == 2 ? alpha : beta) * model.block_coefficients[k]));
+    }
+    std::vector<int> vertex(model.num_nodes, -1);
+    for (int i = 0; i < model.num_nodes; ++i)
+    {
+      if (model.ends[i][0] == model.ends[i][1]) vertex[i] = vertices++;
+    }
+    for (int block = 0; block < model.num_blocks; ++block)
+    {
+      const int* of = model.block_nodes.data() + static_cast<std::ptrdiff_t>(block) * QUADRATIC_NODES * LANES;
+      for (int k = 0; k < CORNERS * LANES; ++k) corner_gather.push_back(vertex[of[k]]);
+    }
+    elements = {model.block_nodes.data(), corner_gather.data(), rotated.data(), coefficients.data(), nullptr};
+  }
+  float* elementShares() { return shares.data() + kernels::ZERO_ROWS * kernels::SHARES; }
+
+  int vertices = 0;
+  AlignedVector<float> rotated, coefficients, shares, inverse, x, r, s, p, q, d, z;
+  AlignedVector<int> corner_gather;
+  kernels::SingleElements elements;
+};
 
 void bench(const std::string& file, const std::vector<std::string>& overrides, const Machine& machine)
 {
@@ -164,38 +286,87 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
   AlignedVector<double> diagonal(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes);
   AlignedVector<double> inverse(static_cast<std::size_t>(kernels::INVERSE_STRIDE) * model.num_nodes);
   const kernels::Table& table = kernels::table();
+  SingleData single(model, before, 1e-3, 1e-3 * dt * dt);  // small, lest kernels that feed each other overflow
+  Factor factor(file, overrides);
+  Panels panels(factor.numbers());
+  const kernels::NodeShares lists{model.share_begin.data(), model.share_slots.data()};
   const kernels::BlockRows rows{A.rowBegin().data(), A.column().data()};
 
   const double tets = model.num_tets, nodes = model.num_nodes, blocks = static_cast<double>(A.column().size());
-  const double vertices =
-      std::count_if(model.ends.begin(), model.ends.end(), [](const auto& e) { return e[0] == e[1]; });
+  const double vertices = single.vertices;
   // Bytes of a number, an index, a padded vector of a node and the three gradients of an element
   constexpr double NUMBER = sizeof(double), INDEX = sizeof(int), NODE = 4 * NUMBER, MATRIX = 9 * NUMBER;
   constexpr double BLOCK = kernels::DIAGONAL_STRIDE * NUMBER, INVERSE = kernels::INVERSE_STRIDE * NUMBER;
-  // Each a loop over elements that reads a vector of nodes, and clears and adds to another.
-  const double element = 2 * 10 * INDEX + 3 * NUMBER + MATRIX, vectors = nodes * (NODE + 3 * NODE);
+  constexpr double HALF = 0.5;  // of all but indices, in single precision
+  // Of an element: where to read and, node by node, where shares are; coefficients and gradients. Its ten shares, which
+  // are written and read.
+  const double element = 2 * 10 * INDEX + 3 * NUMBER + MATRIX, shares = tets * 10 * NODE;
+  const double single_element = 10 * INDEX + HALF * (3 * NUMBER + MATRIX), single_shares = HALF * shares;
+  const double slots = tets * 10 * INDEX, values = HALF * nodes * NODE, inverses = HALF * nodes * INVERSE;
+  const double factored = factor.numbers() * HALF * NUMBER, sides = factor.vertices() * HALF * NODE;
+  const int count = model.num_nodes;
   double sink = 0;
   const std::vector<Kernel> all = {
-      {"rotations", false, tets * ROTATION, tets * (4 * INDEX + 4 * MATRIX + NUMBER + 2) + vertices * NODE,
+      {"rotations", false, tets * ROTATION, tets * (4 * INDEX + 4 * MATRIX + NUMBER + 2) + vertices * NODE, 0,
        [&]() { updateRotations(model, partition, x, before, rotations, turned); }},
-      {"product", false, tets * PRODUCT, tets * element + vectors,
+      {"product", false, tets * PRODUCT, tets * element + 2 * shares + nodes * 2 * NODE, shares,
        [&]() { systemProduct(model, partition, rotations, 1, dt * dt, u, v); }},
-      {"elastic force", false, tets * FORCE, tets * (element - NUMBER) + vectors,
+      {"elastic force", false, tets * FORCE, tets * (element - NUMBER) + 2 * shares + nodes * 2 * NODE, shares,
        [&]() { elasticForce(model, partition, rotations, x, v); }},
-      {"block diagonal", false, tets * DIAGONAL, tets * (element - 10 * INDEX) + nodes * 3 * BLOCK,
+      {"block diagonal", false, tets * DIAGONAL, tets * (element - 10 * INDEX) + 4 * shares + nodes * BLOCK, 2 * shares,
        [&]() { systemDiagonal(model, partition, rotations, 1, dt * dt, diagonal); }},
-      {"assembled product", false, blocks * 18, blocks * (MATRIX + INDEX) + nodes * (INDEX + 2 * NODE),
+      {"assembled product", false, blocks * 18, blocks * (MATRIX + INDEX) + nodes * (INDEX + 2 * NODE), 0,
        [&]() { table.block_product(rows, 0, A.rows(), A.blocks().data(), u.data(), v.data()); }},
       // x += a p, r -= a q, z = B^-1 r, r.z
-      {"conjugate gradients: advance", false, nodes * (6 + 6 + 15 + 6), nodes * (7 * NODE + INVERSE),
+      {"conjugate gradients: advance", false, nodes * (6 + 6 + INVERSE_PRODUCT + 6), nodes * (5 * NODE + INVERSE), 0,
+       [&]() {
+         sink += table.advance(0, count, 1e-3, p.data(), q.data(), inverse.data(), z.data(), u.data(), v.data());
+       }},
+      {"conjugate gradients: redirect", false, nodes * 6, nodes * 2 * NODE, 0,
+       [&]() { table.redirect(0, count, 0.5, z.data(), p.data()); }},
+      {"conjugate gradients: dot", false, nodes * 6, nodes * 2 * NODE, 0,
+       [&]() { sink += table.dot(0, count, u.data(), z.data()); }},
+      // What the multigrid is made of. Its product has p.q with the sums, as its conjugate gradients take it.
+      {"product", true, tets * (SINGLE_PRODUCT + SCATTER) + nodes * 6,
+       tets * single_element + slots + 2 * single_shares + 3 * values, single_shares + values,
+       [&]() {
+         table.single_product(single.elements, 0, model.num_blocks, single.p.data(), single.elementShares());
+         sink += table.single_sum(lists, 0, count, single.shares.data(), single.p.data(), single.q.data());
+       }},
+      {"product: shares", true, tets * SINGLE_PRODUCT, tets * single_element + single_shares + values, 0,
+       [&]() { table.single_product(single.elements, 0, model.num_blocks, single.p.data(), single.elementShares()); }},
+      {"product: sums and p.q", true, tets * SCATTER + nodes * 6, slots + single_shares + 2 * values, 0,
+       [&]() { sink += table.single_sum(lists, 0, count, single.shares.data(), single.p.data(), single.q.data()); }},
+      {"prolonged product: shares", true, tets * PROLONGED_PRODUCT,
+       tets * (single_element - 6 * INDEX) + single_shares + HALF * vertices * NODE, 0,
+       [&]() {
+         table.prolonged_product(single.elements, 0, model.num_blocks, single.p.data(), single.elementShares());
+       }},
+      {"subtracted sums", true, tets * SCATTER + nodes * 3, slots + single_shares + values, 0,
+       [&]() { table.subtract_shares(lists, 0, count, single.shares.data(), single.r.data()); }},
+      // r -= the sums, d = keep d + gain B^-1 r, z += d
+      {"sums and Chebyshev's term", true, tets * SCATTER + nodes * (3 + INVERSE_PRODUCT + 3 + 6 + 3),
+       slots + single_shares + 3 * values + inverses, 0,
+       [&]() {
+         table.single_chebyshev(lists, 0, count, 0.5f, 0.5f, single.shares.data(), single.inverse.data(),
+                                single.r.data(), single.d.data(), single.z.data());
+       }},
+      // x += a p, r -= a q, s = r, d = z = gain B^-1 r, r.B^-1 r
+      {"multigrid's gradients: advance", true, nodes * (6 + 6 + INVERSE_PRODUCT + 3 + 6), 7 * values + inverses, 0,
        [&]() {
          sink +=
-             table.advance(0, model.num_nodes, 1e-3, p.data(), q.data(), inverse.data(), z.data(), u.data(), v.data());
+             table.single_advance(0, count, 1e-3f, 0.5f, single.p.data(), single.q.data(), single.inverse.data(),
+                                  single.x.data(), single.r.data(), single.s.data(), single.d.data(), single.z.data());
        }},
-      {"conjugate gradients: redirect", false, nodes * 6, nodes * 3 * NODE,
-       [&]() { table.redirect(0, model.num_nodes, 0.5, z.data(), p.data()); }},
-      {"conjugate gradients: dot", false, nodes * 6, nodes * 2 * NODE,
-       [&]() { sink += table.dot(0, model.num_nodes, u.data(), z.data()); }},
+      {"multigrid's gradients: redirect", true, nodes * 6, 2 * values, 0,
+       [&]() { table.single_redirect(0, count, 0.5f, single.z.data(), single.p.data()); }},
+      {"multigrid's gradients: dot", true, nodes * 6, 2 * values, 0,
+       [&]() { sink += table.single_dot(0, count, single.r.data(), single.z.data()); }},
+      // Of the factor of linear elements on the same tetrahedra, upper triangles of its dense blocks with it.
+      {"Cholesky solve", true, 4 * factor.numbers(), 2 * (factored + sides), factored, [&]() { factor.solve(); }},
+      {"panel product", true, 2 * panels.numbers(), panels.numbers() * HALF * NUMBER, 0, [&]() { panels.product(); }},
+      {"panel product, transposed", true, 2 * panels.numbers(), panels.numbers() * HALF * NUMBER, 0,
+       [&]() { panels.transposeProduct(); }},
   };
   std::vector<std::vector<double>> times(all.size());
   for (int k = 0; k < RUNS; ++k)
@@ -215,7 +386,7 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
   {
     const Kernel& kernel = all[i];
     const double ms = median(times[i]), by_flops = 1e-6 * kernel.flops / machine.gflops(kernel.single);
-    const double by_bytes = 1e-6 * kernel.bytes / machine.bandwidth(kernel.bytes);
+    const double by_bytes = 1e-6 * kernel.bytes / machine.bandwidth(kernel.bytes - kernel.again);
     std::printf("| %s | %d | %d | %s | %s | %.4f | %.3f | %.2f | %.1f | %.1f | %.2f | %.2f | %s | %.2f |\n",
                 name.c_str(), model.num_tets, model.num_nodes, kernel.name.c_str(), kernel.single ? "single" : "double",
                 ms, ms / yardstick.ms(), kernel.flops / kernel.bytes, 1e-6 * kernel.flops / ms,

@@ -54,7 +54,7 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, i
     worst = std::max(worst, report.residual);
   }
   const std::string name = file.substr(file.find_last_of('/') + 1);
-  std::printf("| %s | %d | %d | %d | %.2f | %.2f | %.2f | %.2f | %.2f | %.0f | %.1e | %.3f | %.1f | %.2f | %.2f |\n",
+  std::printf("| %s | %d | %d | %d | %.3f | %.3f | %.3f | %.3f | %.3f | %.0f | %.1e | %.3f | %.1f | %.3f | %.2f |\n",
               name.c_str(), model.num_tets, model.num_nodes, threads, median(rotation), median(assembly), median(force),
               median(solve), median(total), median(iterations), worst, unit, median(total) / unit, own / unit,
               *std::max_element(total.begin(), total.end()));

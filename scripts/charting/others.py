@@ -62,7 +62,7 @@ def in_motion(reference, trajectory, duration):
     return float(np.sqrt((apart**2).mean()) / np.linalg.norm(positions - positions[0], axis=1).max())
 
 
-def measure(study):
+def bullet(study):
     """Rows: program, settings, tets, mode, error of the tip, ms a simulated second or in all."""
     rows = []
     rest, motion = (way(study, mode, "corotated") for mode in ("static", "dynamic"))
@@ -81,6 +81,12 @@ def measure(study):
                          "ms": row["ms_per_simulated_second"] if moving else row["ms"],
                          "error_tip": in_motion(motion, row["tip"], study.duration) if moving else
                          at_rest(rest, row["tip"])})
+    return rows
+
+
+def calculix(study):
+    """The same rows."""
+    rows = []
     for law, flags in (("green", []), ("linear", ["--linear"])):
         of_law = way(study, "static", law)
         tool = os.path.join(REPOSITORY, "bench", "calculix_bar")

@@ -4,6 +4,7 @@ import shutil
 import subprocess
 
 import engine
+import others
 import scenes
 import studies
 import tools
@@ -22,23 +23,20 @@ def steps_of(scene, overrides, steps, threads=(1,)):
 
 
 def earlier(revision):
-    """The programs of an earlier revision, built beside its sources; a folder."""
+    """The programs of an earlier revision, built once, beside its sources; a folder."""
     source = os.path.join(tools.folder("before"), revision)
     build = source + "_build"
     programs = os.path.join(build, "lib", "bezier_fem")
-    if not os.path.isdir(source):
-        tools.call("git", "-C", tools.REPOSITORY, "worktree", "prune")
-        tools.call("git", "-C", tools.REPOSITORY, "worktree", "add", "--detach", source, revision)
-    tools.say(f"building {revision}")
-    tools.call("cmake", "-S", source, "-B", build, "-DCMAKE_BUILD_TYPE=Release", "-DBEZIER_FEM_ROS=OFF",
-               "-DBEZIER_FEM_BENCH=ON", "-DBUILD_TESTING=OFF")
-    tools.call("cmake", "--build", build, "--parallel", os.cpu_count(), "--target", "bench_steps", "bench_variants",
-               "bezier_fem_programs")
-    for name in ("bench_bullet_single", "bench_bullet_double"):  # which are not ours, and not measured twice
-        link = os.path.join(programs, name)
-        if os.path.lexists(link):
-            os.remove(link)
-        os.symlink(tools.program(name), link)
+    needed = ("bench_steps", "bench_variants", "run_scene")
+    if not all(os.access(os.path.join(programs, name), os.X_OK) for name in needed):
+        tools.say(f"building {revision}")
+        if not os.path.isdir(source):
+            tools.call("git", "-C", tools.REPOSITORY, "worktree", "prune")
+            tools.call("git", "-C", tools.REPOSITORY, "worktree", "add", "--detach", source, revision)
+        tools.call("cmake", "-S", source, "-B", build, "-DCMAKE_BUILD_TYPE=Release", "-DBEZIER_FEM_ROS=OFF",
+                   "-DBEZIER_FEM_BENCH=ON", "-DBUILD_TESTING=OFF")
+        tools.call("cmake", "--build", build, "--parallel", os.cpu_count(), "--target", "bench_steps",
+                   "bench_variants", "bezier_fem_programs")
     return programs
 
 
@@ -55,39 +53,47 @@ class ProgramsOf:
         tools.program.folder = self.kept
 
 
+def told(name, row):
+    """Says what a row of bench_steps has."""
+    tools.say(f"{name}: {row['tets']} tets, {row['iterations']} iterations, {row['whole step']:.2f} ms, "
+              f"{row['step in products']:.1f} products")
+    return row
+
+
 def steps(arguments):
+    """Scene by scene, what is not claimed last, and over fewer steps where it takes long."""
     before = earlier(arguments.before)
     rows = []
     for name, scene, overrides, _ in scenes.STEPS:
-        tools.say(name)
         one, two = steps_of(scene, overrides, arguments.steps, (1, 2))
-        classic, = steps_of(scene, [*overrides, *scenes.CLASSIC], arguments.steps)
+        told(name, one)
+        rows.append({"name": name, "one": one, "two": told(f"{name}, two threads", two)})
+        few = arguments.steps if name == scenes.CLASSIC_CLAIMED else min(arguments.steps, scenes.FEW_STEPS)
         with ProgramsOf(before):
-            then, = steps_of(scene, overrides, arguments.steps)
-        rows.append({"name": name, "one": one, "two": two, "classic": classic, "before": then})
-    return rows
+            rows[-1]["before"] = told(f"{name}, before", steps_of(scene, overrides, arguments.steps)[0])
+        rows[-1]["classic"] = told(f"{name}, classic", steps_of(scene, [*overrides, *scenes.CLASSIC], few)[0])
+        yield rows
 
 
 def linear(arguments):
     rows = []
     settings = ["element=linear", f"solver.tolerance={scenes.LINEAR_TOLERANCE}"]
     for name, scene, overrides, _, _ in scenes.LINEAR:
-        tools.say(name)
-        own, = steps_of(scene, [*overrides, *settings], arguments.steps)
-        blocks = [steps_of(scene, [*overrides, *settings, *how], arguments.steps)[0]
-                  for how in (scenes.BLOCKS, scenes.CLASSIC)]
-        rows.append({"name": name, "own": own, "blocks": min(blocks, key=lambda row: row["whole step"])})
-    return rows
+        row = {"name": name}
+        for key, how in (("own", []), ("blocks", scenes.BLOCKS), ("assembled", scenes.CLASSIC)):
+            row[key] = told(f"{name}, linear elements, {key}",
+                            steps_of(scene, [*overrides, *settings, *how], arguments.steps)[0])
+        rows.append(row)
+        yield rows
 
 
 def growth(arguments):
     rows = []
-    for how, meshes in (("meshed", scenes.MESHED), ("cut", scenes.CUT)):
-        for overrides in meshes:
-            row, = steps_of("bunny", overrides, arguments.steps)
-            tools.say(f"bunny, {row['tets']} tets: {row['iterations']} iterations, {row['whole step']} ms")
-            rows.append({"how": how, **row})
-    return rows
+    for how, overrides, most in scenes.GROWTH:
+        count = min(most, arguments.steps)
+        row, = steps_of("bunny", overrides, count)
+        rows.append({"how": how, "steps": count, **told(f"bunny, {how}", row)})
+        yield rows
 
 
 def kernels(_):
@@ -97,7 +103,8 @@ def kernels(_):
         text = tools.call(tools.program("bench_roofline"), tools.config("bunny.yaml"), *settings, *overrides)
         peaks, rows = tables(text)
         found[name] = {"peaks": peaks, "rows": rows, "set": text.split("Instruction set: ")[1].split()[0]}
-    return found
+        tools.say(f"kernels, {name}")
+        yield found
 
 
 def unit():
@@ -110,19 +117,20 @@ def points(study):
 
 
 def front(arguments):
-    """The bar's points in both revisions, one after the other, and other programs'; nothing kept from another run."""
+    """A few of the bar's points and Bullet's, then the points of the revision before."""
     engine.WORK = os.path.join(tools.WORK, "chart")
-    shutil.rmtree(engine.WORK, ignore_errors=True)
-    earlier(arguments.before)  # now, lest it come between the two
-    now = studies.bar(equal_accuracy_too=False)
-    units = [unit()]
-    with ProgramsOf(earlier(arguments.before)):
-        then = studies.bar(studies.LAWS[:1], equal_accuracy_too=False)
-    units.append(unit())
+    shutil.rmtree(engine.WORK, ignore_errors=True)  # nothing kept from another run
+    before = earlier(arguments.before)  # now, lest it come between the two
+    now = studies.bar(in_short=True)
     revision = subprocess.run(["git", "-C", tools.REPOSITORY, "log", "-1", "--format=%h of %as", arguments.before],
                               capture_output=True, text=True, check=True).stdout.strip()
-    return {"now": points(now), "before": points(then), "revision": revision, "others": now.others,
-            "products": units}
+    found = {"now": points(now), "revision": revision, "others": others.bullet(now), "products": [unit()]}
+    yield found
+    with ProgramsOf(before):
+        found["before"] = points(studies.bar(in_short=True))
+    found["products"].append(unit())
+    yield found
 
 
+# Generators: each yields what it has so far, time and again
 PARTS = {"steps": steps, "linear": linear, "growth": growth, "kernels": kernels, "front": front}
