@@ -170,7 +170,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
       return w * (w + 1) / 2 + w * static_cast<double>(rows.size());
     }
   };
-  const int MOST_COLUMNS = getenv("MC") ? atoi(getenv("MC")) : 24;
+  constexpr int MOST_COLUMNS = 24;
   std::vector<Columns> panels;
   for (int j = 0; j < n; ++j)
   {

@@ -130,6 +130,26 @@ TEST_P(Multigrid, SolvesTheSameInFarFewerIterations)
   }
 }
 
+TEST_P(Multigrid, SolvesAsWellWhateverTheUnits)
+{
+  const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
+  ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
+  ASSERT_TRUE(multigrid.prepare(model, rotations, held, 1, 4e-4, solver.inverse()));
+  const NodalField b = test::randomField(model.num_nodes, 3);
+  NodalField expected(model.num_nodes), u(model.num_nodes), scaled(model.num_nodes);
+  const int iterations = solver.solve(system, partition, b, expected, 1e-10, 10000, &multigrid).iterations;
+  // The squares of these are no single precision numbers.
+  for (const double scale : {1e25, 1e-25, 1.0})
+  {
+    scaled.matrix() = scale * b.matrix();
+    u.setZero();
+    const SolveReport report = solver.solve(system, partition, scaled, u, 1e-10, 10000, &multigrid);
+    EXPECT_TRUE(report.converged);
+    EXPECT_NEAR(report.iterations, iterations, 1) << scale;
+    EXPECT_LT((u.matrix() / scale - expected.matrix()).norm(), 1e-7 * expected.matrix().norm());
+  }
+}
+
 TEST_P(Multigrid, FollowsANewMaterial)
 {
   const MatrixFreeSystem<Rotations> system(model, partition, rotations, 0, 1);
