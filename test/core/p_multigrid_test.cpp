@@ -139,7 +139,7 @@ TEST_P(Multigrid, SolvesAsWellWhateverTheUnits)
   NodalField expected(model.num_nodes), u(model.num_nodes), scaled(model.num_nodes);
   const int iterations = solver.solve(system, partition, b, expected, 1e-10, 10000, &multigrid).iterations;
   // The squares of these are no single precision numbers.
-  for (const double scale : {1e25, 1e-25, 1.0})
+  for (const double scale : {1e17, 3e17, 1e18, 3e18, 1e19, 1e25, 1e-19, 1e-25, 1.0})
   {
     scaled.matrix() = scale * b.matrix();
     u.setZero();
@@ -257,9 +257,15 @@ TEST(MultigridSteps, AreTheSameAfterAReset)
   EXPECT_EQ((first.matrix() - second.matrix()).norm(), 0);
 }
 
-TEST(SparseCholesky, SolvesLikeADenseFactor)
+class Cholesky : public testing::TestWithParam<Element>
 {
-  const Model model = test::boxModel(test::irregularBox({3, 3, 5}, {0.4, 0.4, 1.0}), Element::LINEAR, STIFF);
+};
+INSTANTIATE_TEST_SUITE_P(Elements, Cholesky, testing::Values(Element::LINEAR, Element::QUADRATIC),
+                         [](const auto& p) { return std::string(test::name(p.param)); });
+
+TEST_P(Cholesky, SolvesLikeADenseFactor)
+{
+  const Model model = test::boxModel(test::irregularBox({3, 3, 5}, {0.4, 0.4, 1.0}), GetParam(), STIFF);
   const Partition partition(model, 1);
   AssembledMatrix matrix(model);
   FusedAssembler(model, matrix).assemble(model, partition, restRotations(model), 1, 4e-4, matrix);
