@@ -147,6 +147,41 @@ TEST_P(DoubleKernels, LeaveFourthNumbersZero)
   }
 }
 
+TEST_P(DoubleKernels, RotationsDoNotDependOnThoseMadeAtTheSameTime)
+{
+  // Some converge at once, others take their time.
+  NodalField strained = x;
+  for (int i = 0; i < model.num_nodes; i += 5) strained[i] *= 1.5;
+  const kernels::Gradient gradient =
+      rotations.points == 4 ? kernels::Gradient::AT_FOUR_POINTS : kernels::Gradient::OF_CORNERS;
+  const Rotations rest = restRotations(model, GetParam().rule);
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    const auto update = [&](int blocks_at_a_time) {
+      Rotations result = rest;
+      AlignedVector<double> turned(rest.flags.size());
+      for (int begin = 0; begin < model.num_blocks; begin += blocks_at_a_time)
+      {
+        table->update_rotations(elementsOf(rest.points), gradient, begin,
+                                std::min(begin + blocks_at_a_time, model.num_blocks), model.block_gradients.data(),
+                                strained.data(), rest.matrices.data(), result.matrices.data(), result.gradients.data(),
+                                turned.data(), result.flags.data());
+      }
+      return result;
+    };
+    const Rotations together = update(model.num_blocks);
+    EXPECT_NE(together.matrices, rest.matrices);
+    for (const int blocks : {1, 2, 3})
+    {
+      const Rotations parts = update(blocks);
+      EXPECT_EQ(parts.matrices, together.matrices);
+      EXPECT_EQ(parts.gradients, together.gradients);
+      EXPECT_EQ(parts.flags, together.flags);
+    }
+  }
+}
+
 // Single precision --------------------------------------------------------------------------------------------------
 
 class SingleKernels : public Kernels

@@ -88,20 +88,22 @@ TEST(LinearSolve, StepsAreTheSameToTheBitForAnyNumberOfThreads)
     {
       for (const auto system : {Scene::Solver::Operator::MATRIX_FREE, Scene::Solver::Operator::ASSEMBLED})
       {
+        SCOPED_TRACE(testing::Message() << test::name(element) << ", preconditioner " << static_cast<int>(kind)
+                                        << ", operator " << static_cast<int>(system));
         StepSettings settings = settingsOf(Elasticity::COROTATED, kind, 1e-6);
         settings.solver.system_operator = system;
         Bar one(settings, element, 1, cells);
         ASSERT_EQ(one.workspace.partition.numChunks(), 3);
         Bar two(settings, element, 2, cells), three(settings, element, 3, cells);
         ASSERT_EQ(three.workspace.partition.threads(), 3);
-        for (int k = 0; k < 5; ++k)
+        for (int k = 0; k < 3; ++k)
         {
           EXPECT_EQ(one.step().preconditioner, kind);
           for (Bar* bar : {&two, &three})
           {
             bar->step();
-            ASSERT_TRUE((bar->state.x.matrix().array() == one.state.x.matrix().array()).all());
-            ASSERT_TRUE((bar->state.v.matrix().array() == one.state.v.matrix().array()).all());
+            EXPECT_TRUE((bar->state.x.matrix().array() == one.state.x.matrix().array()).all());
+            EXPECT_TRUE((bar->state.v.matrix().array() == one.state.v.matrix().array()).all());
           }
         }
       }
