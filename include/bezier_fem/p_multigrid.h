@@ -40,7 +40,6 @@ private:
 
   void cycle();
 
-
   std::vector<int> node_of_vertex_;              // of the linear elements, to the model's nodes
   std::vector<std::array<int, 2>> vertices_of_;  // the two vertices of each node
   std::vector<int> edges_begin_, edges_;         // of each vertex: the nodes of its edges
