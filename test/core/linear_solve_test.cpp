@@ -83,14 +83,15 @@ TEST(LinearSolve, StepsAreTheSameToTheBitForAnyNumberOfThreads)
   for (const Element element : {Element::LINEAR, Element::QUADRATIC})
   {
     // Several chunks of nodes, the last one not full.
-    const Eigen::Vector3i cells = element == Element::LINEAR ? Eigen::Vector3i(7, 7, 9) : Eigen::Vector3i(3, 3, 6);
+    const Eigen::Vector3i cells = element == Element::LINEAR ? Eigen::Vector3i(6, 6, 10) : Eigen::Vector3i(3, 3, 6);
     for (const Kind kind : {Kind::BLOCK_JACOBI, Kind::PMULTIGRID, Kind::DIRECT})
     {
       for (const auto system : {Scene::Solver::Operator::MATRIX_FREE, Scene::Solver::Operator::ASSEMBLED})
       {
         SCOPED_TRACE(testing::Message() << test::name(element) << ", preconditioner " << static_cast<int>(kind)
                                         << ", operator " << static_cast<int>(system));
-        StepSettings settings = settingsOf(Elasticity::COROTATED, kind, 1e-6);
+        if (system == Scene::Solver::Operator::ASSEMBLED && kind != Kind::BLOCK_JACOBI) continue;
+        StepSettings settings = settingsOf(Elasticity::COROTATED, kind);
         settings.solver.system_operator = system;
         Bar one(settings, element, 1, cells);
         ASSERT_EQ(one.workspace.partition.numChunks(), 3);
