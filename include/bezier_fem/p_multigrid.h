@@ -40,7 +40,6 @@ private:
 
   void cycle();
 
-
   const Partition& partition_;
   double cost_;                                  // of a factor, in iterations
   std::vector<int> node_of_vertex_;              // of the linear elements, to the model's nodes

@@ -10,9 +10,8 @@ DirectPreconditioner::DirectPreconditioner(const Model& model) : factor_(model)
   cost_ = cholesky.work() / (2 * static_cast<double>(cholesky.size()));
 }
 
-bool DirectPreconditioner::prepare(const Model& /*model*/, const Rotations& rotations,
-                                   const HeldAxes& held, double alpha, double beta,
-                                   const AlignedVector<double>& /*inverse*/)
+bool DirectPreconditioner::prepare(const Model& /*model*/, const Rotations& rotations, const HeldAxes& held,
+                                   double alpha, double beta, const AlignedVector<double>& /*inverse*/)
 {
   if (!(factor_.valid() && factor_.isOf(held, alpha, beta)) && !factor_.factor(rotations, rotations, held, alpha, beta))
   {

@@ -11,8 +11,8 @@ public:
   /** Keeps a reference to the model. */
   explicit DirectPreconditioner(const Model& model);
 
-  bool prepare(const Model& model, const Rotations& rotations, const HeldAxes& held,
-               double alpha, double beta, const AlignedVector<double>& inverse) override;
+  bool prepare(const Model& model, const Rotations& rotations, const HeldAxes& held, double alpha, double beta,
+               const AlignedVector<double>& inverse) override;
   void forget() override { factor_.forget(); }
   void took(int iterations) override { factor_.took(iterations, cost_); }
   int patience() const override { return factor_.patience(cost_); }

@@ -252,10 +252,14 @@ ALWAYS_INLINE Stretch stretchOf(const Vec3* y, const double* gradients)
   s.det2 = det + det;
   s.minors4 = 4 * ((c.xx * c.yy - c.xy * c.xy) + (c.xx * c.zz - c.xz * c.xz) + (c.yy * c.zz - c.yz * c.yz));
   s.largest = squareRoot(3 * s.norm2);
+  s.converged = Mask{};
   return s;
 }
 
-/** Finds `largest` by Halley's method, which comes down to it from any bound: all roots of p are real. */
+/**
+ * Finds `largest` by Halley's method, which comes down to it from any bound: all roots of p are real. What has
+ * converged stays as it is while others go on, so that it does not depend on them.
+ */
 template <int MANY>
 ALWAYS_INLINE void converge(Stretch* stretches)
 {
@@ -270,10 +274,10 @@ ALWAYS_INLINE void converge(Stretch* stretches)
       const Vec value = excess * excess - 4 * s.det2 * s.largest - s.minors4;  // p
       const Vec slope = excess * s.largest - s.det2;                           // p' / 4
       const Vec correction = 2 * value * slope / (8 * slope * slope - value * (3 * square - s.norm2));
-      s.largest -= correction;
+      s.largest = s.converged ? s.largest : s.largest - correction;
       // Convergence is cubic: a relative correction of 1e-6 leaves an error of rounding size.
       const Vec bound = 1e-6 * s.largest, size = correction < 0 ? -correction : correction;
-      s.converged = size <= bound;
+      s.converged |= size <= bound;
       above |= size > bound;
     }
     if (!any(above)) break;

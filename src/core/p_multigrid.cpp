@@ -92,6 +92,20 @@ public:
     takeInverse(inverse);
   }
 
+  /**
+   * Starts from the residual r over its largest number, which it returns: squares are then numbers of single precision
+   * in any units, and nothing is left of what was no number.
+   */
+  double start(const NodalField& r)
+  {
+    const double largest = r.matrix().cwiseAbs().maxCoeff(), scale = largest > 0 ? largest : 1;
+    for (AlignedVector<float>* field : {&solution, &search, &product}) std::fill(field->begin(), field->end(), 0.0f);
+    Eigen::Map<Eigen::VectorXf>(remaining.data(), 4L * r.size()) =
+        (Eigen::Map<const Eigen::VectorXd>(r.data(), 4L * r.size()) / scale).cast<float>();
+    advance(0);
+    return scale;
+  }
+
   /** The largest eigenvalue of B^-1 A, from below. */
   void estimateLargest(const std::vector<std::uint8_t>& held)
   {
@@ -383,19 +397,18 @@ void PMultigrid::apply(const NodalField& r, NodalField& z)
     std::copy_n(factor_->solve(), numbers, z.data());
     return;
   }
-  std::copy_n(r.data(), numbers, quadratic_->remaining.begin());
-  quadratic_->advance(0);
+  const double scale = quadratic_->start(r);
   cycle();
-  std::copy_n(quadratic_->correction.begin(), numbers, z.data());
+  Eigen::Map<Eigen::VectorXd>(z.data(), numbers) =
+      scale * Eigen::Map<const Eigen::VectorXf>(quadratic_->correction.data(), numbers).cast<double>();
 }
 
 int PMultigrid::improve(const NodalField& r, double target, int max_iterations, NodalField& u)
 {
   QuadraticLevel& level = *quadratic_;
   const std::ptrdiff_t numbers = 4L * u.size();
-  std::copy_n(r.data(), numbers, level.remaining.begin());
-  std::fill(level.solution.begin(), level.solution.end(), 0.0f);
-  level.advance(0);
+  const double scale = level.start(r);
+  target /= scale;
   int iterations = 0;
   double before = 0;
   while (iterations < max_iterations)
@@ -412,7 +425,7 @@ int PMultigrid::improve(const NodalField& r, double target, int max_iterations, 
     if (!(level.advance(slope / curvature) > target * target)) break;
   }
   Eigen::Map<Eigen::VectorXd>(u.data(), numbers) +=
-      Eigen::Map<const Eigen::VectorXf>(level.solution.data(), numbers).cast<double>();
+      scale * Eigen::Map<const Eigen::VectorXf>(level.solution.data(), numbers).cast<double>();
   return iterations;
 }
 

@@ -170,7 +170,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
       return w * (w + 1) / 2 + w * static_cast<double>(rows.size());
     }
   };
-  const int MOST_COLUMNS = getenv("MC") ? atoi(getenv("MC")) : 24;
+  constexpr int MOST_COLUMNS = 24;
   std::vector<Columns> panels;
   for (int j = 0; j < n; ++j)
   {
@@ -199,7 +199,9 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
     rows_.insert(rows_.end(), p.rows.begin(), p.rows.end());
     values += 3 * static_cast<std::size_t>(stride(p.end - p.begin + count)) * (p.end - p.begin);
     most_rows = std::max(most_rows, p.end - p.begin + count);
-    most_update = std::max(most_update, 9 * static_cast<std::size_t>(count) * std::min(count, widest));
+    // An update of another supernode, or the panel itself with its diagonal block inverted.
+    const std::size_t size = 9 * static_cast<std::size_t>(p.end - p.begin) * (p.end - p.begin + count);
+    most_update = std::max({most_update, 9 * static_cast<std::size_t>(count) * std::min(count, widest), size});
     supernode_of_.insert(supernode_of_.end(), p.end - p.begin, static_cast<int>(supernodes_.size()) - 1);
   }
   update_.resize(most_update);
@@ -299,10 +301,14 @@ void SparseCholesky::invertDiagonal()
     const int width = node.end - node.begin, height = width + node.rows_count;
     Panel panel(values_.data() + node.values, 3L * height, 3L * width, Eigen::OuterStride<>(stride(height)));
     auto diagonal = panel.topRows(3L * width);
-    const Eigen::MatrixXf inverse =
-        diagonal.triangularView<Eigen::Lower>().solve(Eigen::MatrixXf::Identity(3L * width, 3L * width));
+    auto below = panel.bottomRows(3L * node.rows_count);
+    Eigen::Map<Eigen::MatrixXf> inverse(update_.data(), 3L * width, 3L * width);
+    Eigen::Map<Eigen::MatrixXf> product(update_.data() + inverse.size(), below.rows(), below.cols());
+    inverse.setIdentity();
+    diagonal.triangularView<Eigen::Lower>().solveInPlace(inverse);
+    product.noalias() = below * inverse;
     diagonal = inverse;
-    panel.bottomRows(3L * node.rows_count) = (panel.bottomRows(3L * node.rows_count) * inverse).eval();
+    below = product;
   }
 }
 

@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include "bezier_fem/element_operator.h"
 #include "core/bar.h"
 #include "turned_factor.h"
 
@@ -35,12 +36,13 @@ struct Bar
   Workspace workspace;
   State state;
 
-  explicit Bar(const StepSettings& with, Element element = Element::QUADRATIC)
-      : model(test::boxModel(test::irregularBox({3, 3, 6}, {0.4, 0.4, 1.0}), element, STIFF)),
+  explicit Bar(const StepSettings& with, Element element = Element::QUADRATIC, int threads = 1,
+               const Eigen::Vector3i& cells = {3, 3, 6})
+      : model(test::boxModel(test::irregularBox(cells, {0.4, 0.4, 1.0}), element, STIFF)),
         settings(with),
         supports(test::holdFoot(model, model.rest)),
         no_force(model.num_nodes),
-        workspace(model, settings, 1),
+        workspace(model, settings, threads),
         state(startState(model, settings, supports, model.rest, Vector3d::Zero(), workspace))
   {
   }
@@ -71,6 +73,62 @@ TEST(LinearSolve, EveryPreconditionerGivesTheSameMotion)
         Bar bar(settingsOf(elasticity, kind, 1e-9), element);
         for (int k = 0; k < 10; ++k) EXPECT_EQ(bar.step().preconditioner, kind);
         EXPECT_LT(distance(bar, reference), 1e-7);
+      }
+    }
+  }
+}
+
+TEST(LinearSolve, StepsAreTheSameToTheBitForAnyNumberOfThreads)
+{
+  for (const Element element : {Element::LINEAR, Element::QUADRATIC})
+  {
+    // Several chunks of nodes, the last one not full.
+    const Eigen::Vector3i cells = element == Element::LINEAR ? Eigen::Vector3i(6, 6, 10) : Eigen::Vector3i(3, 3, 6);
+    for (const Kind kind : {Kind::BLOCK_JACOBI, Kind::PMULTIGRID, Kind::DIRECT})
+    {
+      for (const auto system : {Scene::Solver::Operator::MATRIX_FREE, Scene::Solver::Operator::ASSEMBLED})
+      {
+        SCOPED_TRACE(testing::Message() << test::name(element) << ", preconditioner " << static_cast<int>(kind)
+                                        << ", operator " << static_cast<int>(system));
+        if (system == Scene::Solver::Operator::ASSEMBLED && kind != Kind::BLOCK_JACOBI) continue;
+        StepSettings settings = settingsOf(Elasticity::COROTATED, kind);
+        settings.solver.system_operator = system;
+        Bar one(settings, element, 1, cells);
+        ASSERT_EQ(one.workspace.partition.numChunks(), 3);
+        Bar two(settings, element, 2, cells), three(settings, element, 3, cells);
+        ASSERT_EQ(three.workspace.partition.threads(), 3);
+        for (int k = 0; k < 3; ++k)
+        {
+          EXPECT_EQ(one.step().preconditioner, kind);
+          for (Bar* bar : {&two, &three})
+          {
+            bar->step();
+            EXPECT_TRUE((bar->state.x.matrix().array() == one.state.x.matrix().array()).all());
+            EXPECT_TRUE((bar->state.v.matrix().array() == one.state.v.matrix().array()).all());
+          }
+        }
+      }
+    }
+  }
+}
+
+TEST(LinearSolve, ToleranceIsMetByTheTrueResidualInDoublePrecision)
+{
+  for (const Element element : {Element::LINEAR, Element::QUADRATIC})
+  {
+    for (const Kind kind : {Kind::PMULTIGRID, Kind::DIRECT})
+    {
+      for (const double tolerance : {1e-2, 1e-4, 1e-8, 1e-12})
+      {
+        Bar bar(settingsOf(Elasticity::COROTATED, kind, tolerance), element);
+        bar.step();
+        const double h = bar.settings.time_step;
+        const Rotations rest = restRotations(bar.model);  // those of the step
+        NodalField residual(bar.model.num_nodes);
+        systemProduct(bar.model, bar.workspace.partition, rest, 1, h * h, bar.workspace.change, residual);
+        residual.matrix() = bar.workspace.rhs.matrix() - residual.matrix();
+        EXPECT_LE(bar.workspace.solver.relativeNorm(bar.workspace.partition, residual, bar.workspace.rhs),
+                  1.001 * tolerance + 1e-15);
       }
     }
   }

@@ -130,6 +130,26 @@ TEST_P(Multigrid, SolvesTheSameInFarFewerIterations)
   }
 }
 
+TEST_P(Multigrid, SolvesAsWellWhateverTheUnits)
+{
+  const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
+  ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
+  ASSERT_TRUE(multigrid.prepare(model, rotations, held, 1, 4e-4, solver.inverse()));
+  const NodalField b = test::randomField(model.num_nodes, 3);
+  NodalField expected(model.num_nodes), u(model.num_nodes), scaled(model.num_nodes);
+  const int iterations = solver.solve(system, partition, b, expected, 1e-10, 10000, &multigrid).iterations;
+  // The squares of these are no single precision numbers.
+  for (const double scale : {1e17, 3e17, 1e18, 3e18, 1e19, 1e25, 1e-19, 1e-25, 1.0})
+  {
+    scaled.matrix() = scale * b.matrix();
+    u.setZero();
+    const SolveReport report = solver.solve(system, partition, scaled, u, 1e-10, 10000, &multigrid);
+    EXPECT_TRUE(report.converged);
+    EXPECT_NEAR(report.iterations, iterations, 1) << scale;
+    EXPECT_LT((u.matrix() / scale - expected.matrix()).norm(), 1e-7 * expected.matrix().norm());
+  }
+}
+
 TEST_P(Multigrid, FollowsANewMaterial)
 {
   const MatrixFreeSystem<Rotations> system(model, partition, rotations, 0, 1);
@@ -237,9 +257,15 @@ TEST(MultigridSteps, AreTheSameAfterAReset)
   EXPECT_EQ((first.matrix() - second.matrix()).norm(), 0);
 }
 
-TEST(SparseCholesky, SolvesLikeADenseFactor)
+class Cholesky : public testing::TestWithParam<Element>
 {
-  const Model model = test::boxModel(test::irregularBox({3, 3, 5}, {0.4, 0.4, 1.0}), Element::LINEAR, STIFF);
+};
+INSTANTIATE_TEST_SUITE_P(Elements, Cholesky, testing::Values(Element::LINEAR, Element::QUADRATIC),
+                         [](const auto& p) { return std::string(test::name(p.param)); });
+
+TEST_P(Cholesky, SolvesLikeADenseFactor)
+{
+  const Model model = test::boxModel(test::irregularBox({3, 3, 5}, {0.4, 0.4, 1.0}), GetParam(), STIFF);
   const Partition partition(model, 1);
   AssembledMatrix matrix(model);
   FusedAssembler(model, matrix).assemble(model, partition, restRotations(model), 1, 4e-4, matrix);

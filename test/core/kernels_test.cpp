@@ -1,0 +1,463 @@
+// The inner loops of every instruction set that this machine has, in ranges, against double precision. What they have
+// not to leave as it was is not a number before.
+
+#include "kernels.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Core>
+#include <limits>
+#include <numeric>
+
+#include "bezier_fem/element_operator.h"
+#include "bezier_fem/green_strain.h"
+#include "core/bar.h"
+
+namespace bezier_fem
+{
+namespace
+{
+using Eigen::Vector3d;
+
+constexpr double ALPHA = 1.5, BETA = 2e-4;
+/** Relative, of sums of tens of numbers in single precision. */
+constexpr double SINGLE = 2e-6;
+
+std::vector<const kernels::Table*> tables()
+{
+  std::vector<const kernels::Table*> result;
+  for (const char* name : {"portable", "avx2", "avx512"})
+  {
+    if (const kernels::Table* table = kernels::tableByName(name)) result.push_back(table);
+  }
+  return result;
+}
+
+struct Variant
+{
+  const char* name;
+  Element element;
+  RotationRule rule;
+  Dilatation dilatation = Dilatation::FULL;
+};
+
+/** A body of a last block that is not full, bent and noisy. */
+class Kernels : public testing::TestWithParam<Variant>
+{
+protected:
+  Model model = test::boxModel(test::irregularBox({3, 3, 3}, {0.4, 0.5, 0.6}), GetParam().element, {3e6, 0.485, 1100},
+                               GetParam().dilatation);
+  Partition partition{model, 1};
+  NodalField x = bent();
+  Rotations rotations = rotationsOf(x);
+  kernels::NodeShares lists{model.share_begin.data(), model.share_slots.data()};
+
+  kernels::Elements elementsOf(int points) const
+  {
+    return {model.nodes_per_tet, points, model.block_nodes.data(), model.block_coefficients.data(),
+            model.block_mean.empty() ? nullptr : model.block_mean.data()};
+  }
+  NodalField bent() const
+  {
+    NodalField result = model.rest;
+    result.matrix() += 0.01 * test::randomField(model.num_nodes, 5).matrix();
+    for (int i = 0; i < model.num_nodes; ++i)
+    {
+      const Vector3d X = result[i];
+      result[i] = Eigen::AngleAxisd(X.z(), Vector3d(1, 1, 0.5).normalized()) * X;
+    }
+    return result;
+  }
+  Rotations rotationsOf(const NodalField& positions) const
+  {
+    const Rotations before = restRotations(model, GetParam().rule);
+    Rotations result = before;
+    AlignedVector<double> turned(result.flags.size());
+    updateRotations(model, partition, positions, before, result, turned);
+    return result;
+  }
+
+  /** Runs loop(begin, end, first row of shares) on the blocks, in two ranges. */
+  template <class Scalar, class Loop>
+  AlignedVector<Scalar> shares(int rows_a_node, const Loop& loop) const
+  {
+    const std::ptrdiff_t zeros = rows_a_node * kernels::ZERO_ROWS * kernels::SHARES;
+    const std::ptrdiff_t block = rows_a_node * kernels::SHARES * model.nodes_per_tet;
+    AlignedVector<Scalar> result(zeros + model.num_blocks * block, std::numeric_limits<Scalar>::quiet_NaN());
+    std::fill_n(result.begin(), zeros, Scalar{0});
+    constexpr int SOME = 3;
+    loop(0, SOME, result.data() + zeros);
+    for (std::ptrdiff_t k = zeros + SOME * block; k < static_cast<std::ptrdiff_t>(result.size()); ++k)
+    {
+      EXPECT_TRUE(std::isnan(result[k])) << "shares of blocks that were not asked for";
+    }
+    loop(SOME, model.num_blocks, result.data() + zeros);
+    return result;
+  }
+};
+const auto name = [](const auto& p) { return std::string(p.param.name); };
+
+template <class Scalar>
+void expectFourthNumbersZero(const AlignedVector<Scalar>& shares)
+{
+  for (std::size_t k = 3; k < shares.size(); k += 4) ASSERT_EQ(shares[k], 0) << "share " << k / 4;
+}
+
+// Doubles -----------------------------------------------------------------------------------------------------------
+
+class DoubleKernels : public Kernels
+{
+};
+INSTANTIATE_TEST_SUITE_P(
+    Elements, DoubleKernels,
+    testing::Values(Variant{"linear", Element::LINEAR, RotationRule::FROM_CORNERS},
+                    Variant{"quadratic", Element::QUADRATIC, RotationRule::FROM_CORNERS},
+                    Variant{"quadratic_four", Element::QUADRATIC, RotationRule::FOUR_POINTS},
+                    Variant{"quadratic_mean", Element::QUADRATIC, RotationRule::FROM_CORNERS, Dilatation::MEAN},
+                    Variant{"quadratic_four_mean", Element::QUADRATIC, RotationRule::FOUR_POINTS, Dilatation::MEAN}),
+    name);
+
+TEST_P(DoubleKernels, LeaveFourthNumbersZero)
+{
+  const NodalField u = test::randomField(model.num_nodes, 8);
+  const kernels::Elements elements = elementsOf(rotations.points), one = elementsOf(1);
+  const double *rotated = rotations.gradients.data(), *rest = model.block_gradients.data();
+  GreenTangent tangent(model);
+  linearise(model, partition, x, Projection::NONE, tangent);
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    const kernels::GreenTable& green = model.quadratic() ? table->green_quadratic : table->green_linear;
+    const auto check = [&](int rows_a_node, const auto& loop) {
+      expectFourthNumbersZero(shares<double>(rows_a_node, loop));
+    };
+    check(1, [&](int begin, int end, double* to) {
+      table->add_product(elements, begin, end, rotated, ALPHA, BETA, u.data(), to);
+    });
+    check(1, [&](int begin, int end, double* to) { table->add_force(elements, begin, end, rotated, x.data(), to); });
+    check(2,
+          [&](int begin, int end, double* to) { table->add_diagonal(elements, begin, end, rotated, ALPHA, BETA, to); });
+    check(1, [&](int begin, int end, double* to) { green.add_force(one, begin, end, rest, x.data(), to); });
+    check(1, [&](int begin, int end, double* to) {
+      green.add_product(one, begin, end, rest, tangent.blocks.data(), ALPHA, BETA, u.data(), to);
+    });
+    check(2, [&](int begin, int end, double* to) {
+      green.add_diagonal(one, begin, end, rest, tangent.blocks.data(), ALPHA, BETA, to);
+    });
+  }
+}
+
+TEST_P(DoubleKernels, RotationsDoNotDependOnThoseMadeAtTheSameTime)
+{
+  // Some converge at once, others take their time.
+  NodalField strained = x;
+  for (int i = 0; i < model.num_nodes; i += 5) strained[i] *= 1.5;
+  const kernels::Gradient gradient =
+      rotations.points == 4 ? kernels::Gradient::AT_FOUR_POINTS : kernels::Gradient::OF_CORNERS;
+  const Rotations rest = restRotations(model, GetParam().rule);
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    const auto update = [&](int blocks_at_a_time) {
+      Rotations result = rest;
+      AlignedVector<double> turned(rest.flags.size());
+      for (int begin = 0; begin < model.num_blocks; begin += blocks_at_a_time)
+      {
+        table->update_rotations(elementsOf(rest.points), gradient, begin,
+                                std::min(begin + blocks_at_a_time, model.num_blocks), model.block_gradients.data(),
+                                strained.data(), rest.matrices.data(), result.matrices.data(), result.gradients.data(),
+                                turned.data(), result.flags.data());
+      }
+      return result;
+    };
+    const Rotations together = update(model.num_blocks);
+    EXPECT_NE(together.matrices, rest.matrices);
+    for (const int blocks : {1, 2, 3})
+    {
+      const Rotations parts = update(blocks);
+      EXPECT_EQ(parts.matrices, together.matrices);
+      EXPECT_EQ(parts.gradients, together.gradients);
+      EXPECT_EQ(parts.flags, together.flags);
+    }
+  }
+}
+
+// Single precision --------------------------------------------------------------------------------------------------
+
+class SingleKernels : public Kernels
+{
+protected:
+  using Floats = AlignedVector<float>;
+
+  SingleKernels()
+      : rotated(floats(rotations.gradients)),
+        coefficients(model.block_coefficients.size()),
+        mean(floats(model.block_mean))
+  {
+    for (std::size_t k = 0; k < coefficients.size(); ++k)
+    {
+      const bool density = k / LANES % 3 == 2;
+      coefficients[k] = static_cast<float>((density ? ALPHA : BETA) * model.block_coefficients[k]);
+    }
+    for (float& value : mean) value *= static_cast<float>(BETA);
+    for (int block = 0; block < model.num_blocks; ++block)
+    {
+      const int* own = model.block_nodes.data() + static_cast<std::ptrdiff_t>(block) * model.nodes_per_tet * LANES;
+      corner_nodes.insert(corner_nodes.end(), own, own + CORNERS * LANES);
+    }
+  }
+
+  static Floats floats(const AlignedVector<double>& from) { return {from.begin(), from.end()}; }
+  /** Whole groups of nodes, the last ones zero. */
+  Floats floats(const NodalField& from) const
+  {
+    Floats result(4 * padded(), 0.0f);
+    std::copy_n(from.data(), 4L * model.num_nodes, result.begin());
+    return result;
+  }
+  std::size_t padded() const
+  {
+    constexpr std::size_t GROUP = kernels::NODE_GROUP;
+    return (model.num_nodes + GROUP - 1) / GROUP * GROUP;
+  }
+  Floats unknown() const { return Floats(4 * padded(), std::numeric_limits<float>::quiet_NaN()); }
+  NodalField random(unsigned seed) const
+  {
+    NodalField result = test::randomField(model.num_nodes, seed);
+    result.matrix() = result.matrix().cast<float>().cast<double>();
+    return result;
+  }
+  /** (alpha M + beta K') u in double precision. */
+  NodalField product(const NodalField& u) const
+  {
+    NodalField result(model.num_nodes);
+    systemProduct(model, partition, rotations, ALPHA, BETA, u, result);
+    return result;
+  }
+  kernels::SingleElements elements() const
+  {
+    return {model.block_nodes.data(), corner_nodes.data(), rotated.data(), coefficients.data(),
+            mean.empty() ? nullptr : mean.data()};
+  }
+  Floats productShares(const kernels::Table& table, const Floats& u) const
+  {
+    return shares<float>(
+        1, [&](int begin, int end, float* to) { table.single_product(elements(), begin, end, u.data(), to); });
+  }
+  /** Runs loop(begin, end) on the nodes, in two ranges as chunks are. */
+  template <class Loop>
+  double overNodes(const Loop& loop) const
+  {
+    static_assert(Partition::CHUNK % kernels::NODE_GROUP == 0, "");
+    EXPECT_GT(model.num_nodes, Partition::CHUNK);
+    EXPECT_NE(model.num_nodes % kernels::NODE_GROUP, 0);
+    return loop(0, Partition::CHUNK) + loop(Partition::CHUNK, model.num_nodes);
+  }
+  void expectNear(const Floats& values, const NodalField& expected) const
+  {
+    const Eigen::Map<const Eigen::Matrix4Xf> found(values.data(), 4, model.num_nodes);
+    EXPECT_TRUE(found.allFinite());
+    EXPECT_TRUE((found.row(3).array() == 0).all());
+    const double scale = expected.matrix().cwiseAbs().maxCoeff();
+    EXPECT_LT((found.cast<double>() - expected.matrix()).cwiseAbs().maxCoeff(), SINGLE * scale);
+  }
+  static double dot(const NodalField& a, const NodalField& b) { return a.matrix().cwiseProduct(b.matrix()).sum(); }
+  static double size(const NodalField& a, const NodalField& b) { return a.matrix().norm() * b.matrix().norm(); }
+
+  /** Random symmetric positive definite blocks, as kernels.h lays them out, and their products. */
+  struct Blocks
+  {
+    std::vector<Eigen::Matrix3d> blocks;
+    Floats floats;
+    NodalField operator*(const NodalField& r) const
+    {
+      NodalField result(r.size());
+      for (int i = 0; i < r.size(); ++i) result[i] = blocks[i] * r[i];
+      return result;
+    }
+  };
+  Blocks blocks() const
+  {
+    constexpr int GROUP = kernels::INVERSE_GROUP;
+    Blocks result;
+    result.floats.assign(12 * padded(), 0.0f);
+    const NodalField numbers = test::randomField(3 * model.num_nodes, 20);
+    for (int i = 0; i < model.num_nodes; ++i)
+    {
+      Eigen::Matrix3d m;
+      for (int k = 0; k < 3; ++k) m.col(k) = numbers[3 * i + k];
+      m = (m * m.transpose() + Eigen::Matrix3d::Identity()).eval();
+      for (int k = 0; k < 9; ++k)
+      {
+        const int row = k % 3, column = k / 3;
+        float& to = result.floats[i / GROUP * 12 * GROUP + 4 * GROUP * column + i % GROUP * 4 + row];
+        to = static_cast<float>(m(row, column));
+        m(row, column) = to;
+      }
+      result.blocks.push_back(m);
+    }
+    return result;
+  }
+
+  Floats rotated, coefficients, mean;
+  AlignedVector<int> corner_nodes;  // of fields of all nodes
+};
+INSTANTIATE_TEST_SUITE_P(Elements, SingleKernels,
+                         testing::Values(Variant{"quadratic", Element::QUADRATIC, RotationRule::FROM_CORNERS},
+                                         Variant{"quadratic_mean", Element::QUADRATIC, RotationRule::FROM_CORNERS,
+                                                 Dilatation::MEAN}),
+                         name);
+
+TEST_P(SingleKernels, ProductIsThatOfDoubles)
+{
+  const NodalField u = random(1), p = random(2), expected = product(u);
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    const Floats all_shares = productShares(*table, floats(u));
+    expectFourthNumbersZero(all_shares);
+    Floats q = unknown();
+    const Floats with = floats(p);
+    const double sum = overNodes([&](int begin, int end) {
+      return table->single_sum(lists, begin, end, all_shares.data(), with.data(), q.data());
+    });
+    expectNear(q, expected);
+    EXPECT_NEAR(sum, dot(p, expected), SINGLE * size(p, expected));
+  }
+}
+
+TEST_P(SingleKernels, ProlongedProductIsThatOfWhatLinearElementsSayOfEdges)
+{
+  // Corners are read from a field of all nodes, whose edges are not to be looked at.
+  NodalField corners = random(3), prolonged(model.num_nodes);
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    const auto [a, b] = model.ends[i];
+    prolonged[i] = (corners[model.node_of_corner[a]] + corners[model.node_of_corner[b]]) / 2;
+    if (a != b) corners[i].setConstant(std::numeric_limits<double>::quiet_NaN());
+  }
+  const NodalField expected = product(prolonged);
+  const Floats from = floats(corners);
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    const Floats all_shares = shares<float>(
+        1, [&](int begin, int end, float* to) { table->prolonged_product(elements(), begin, end, from.data(), to); });
+    expectFourthNumbersZero(all_shares);
+    Floats q = unknown();
+    const Floats with = floats(prolonged);
+    overNodes([&](int begin, int end) {
+      return table->single_sum(lists, begin, end, all_shares.data(), with.data(), q.data());
+    });
+    expectNear(q, expected);
+  }
+}
+
+TEST_P(SingleKernels, SubtractSharesAndChebyshevAreTheirFormulas)
+{
+  const NodalField u = random(1), r = random(4), d = random(5), z = random(6);
+  NodalField residual(model.num_nodes), direction(model.num_nodes), solution(model.num_nodes);
+  residual.matrix() = r.matrix() - product(u).matrix();
+  const Blocks inverse = blocks();
+  constexpr float KEEP = 0.375f, GAIN = 1.25f;
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    const Floats all_shares = productShares(*table, floats(u));
+    Floats left = floats(r);
+    overNodes([&](int begin, int end) {
+      table->subtract_shares(lists, begin, end, all_shares.data(), left.data());
+      return 0;
+    });
+    expectNear(left, residual);
+    for (const float keep : {KEEP, 0.0f})
+    {
+      direction.matrix() = GAIN * (inverse * residual).matrix();
+      if (keep != 0) direction.matrix() += keep * d.matrix();
+      solution.matrix() = z.matrix() + direction.matrix();
+      Floats own_r = floats(r), own_d = keep == 0 ? unknown() : floats(d), own_z = floats(z);
+      overNodes([&](int begin, int end) {
+        table->single_chebyshev(lists, begin, end, keep, GAIN, all_shares.data(), inverse.floats.data(), own_r.data(),
+                                own_d.data(), own_z.data());
+        return 0;
+      });
+      expectNear(own_r, residual);
+      expectNear(own_d, direction);
+      expectNear(own_z, solution);
+    }
+  }
+}
+
+TEST_P(SingleKernels, VectorOperationsAreTheirFormulas)
+{
+  const NodalField x0 = random(7), p = random(8), q = random(9), r = random(10);
+  const Blocks inverse = blocks();
+  constexpr float LENGTH = 0.625f, GAIN = 1.25f, KEEP = 0.375f;
+  NodalField solution(model.num_nodes), residual(model.num_nodes), first(model.num_nodes), search(model.num_nodes);
+  solution.matrix() = x0.matrix() + LENGTH * p.matrix();
+  residual.matrix() = r.matrix() - LENGTH * q.matrix();
+  const NodalField preconditioned = inverse * residual;
+  first.matrix() = GAIN * preconditioned.matrix();
+  search.matrix() = q.matrix() + KEEP * p.matrix();
+  const Floats single_p = floats(p), single_q = floats(q);
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    Floats own_x = floats(x0), own_r = floats(r), own_s = unknown(), own_d = unknown(), own_z = unknown();
+    const double norm2 = overNodes([&](int begin, int end) {
+      return table->single_advance(begin, end, LENGTH, GAIN, single_p.data(), single_q.data(), inverse.floats.data(),
+                                   own_x.data(), own_r.data(), own_s.data(), own_d.data(), own_z.data());
+    });
+    expectNear(own_x, solution);
+    expectNear(own_r, residual);
+    expectNear(own_s, residual);
+    expectNear(own_d, first);
+    expectNear(own_z, first);
+    EXPECT_NEAR(norm2, dot(residual, preconditioned), SINGLE * size(residual, preconditioned));
+
+    EXPECT_NEAR(
+        overNodes([&](int begin, int end) { return table->single_dot(begin, end, single_p.data(), single_q.data()); }),
+        dot(p, q), SINGLE * size(p, q));
+    Floats own_p = single_p;
+    overNodes([&](int begin, int end) {
+      table->single_redirect(begin, end, KEEP, single_q.data(), own_p.data());
+      return 0;
+    });
+    expectNear(own_p, search);
+  }
+}
+
+TEST(PanelKernels, AreProductsWithAMatrixAndItsTranspose)
+{
+  std::mt19937 random(3);
+  std::uniform_real_distribution<float> uniform(-1, 1);
+  const auto numbers = [&](int count) {
+    AlignedVector<float> result(count);
+    for (float& value : result) value = uniform(random);
+    return result;
+  };
+  for (const int rows : {LANES, 2 * LANES, 3 * LANES, 4 * LANES, 5 * LANES, 9 * LANES})
+  {
+    for (const int columns : {1, 2, 3, 4, 5, 6, 9, 72})
+    {
+      const AlignedVector<float> panel = numbers(rows * columns), x = numbers(columns), t = numbers(rows);
+      const Eigen::MatrixXd L = Eigen::Map<const Eigen::MatrixXf>(panel.data(), rows, columns).cast<double>();
+      const Eigen::VectorXd by_x = Eigen::Map<const Eigen::VectorXf>(x.data(), columns).cast<double>();
+      const Eigen::VectorXd by_t = Eigen::Map<const Eigen::VectorXf>(t.data(), rows).cast<double>();
+      const Eigen::VectorXd product = L * by_x, transposed = L.transpose() * by_t;
+      for (const kernels::Table* table : tables())
+      {
+        SCOPED_TRACE(table->name);
+        const float unknown = std::numeric_limits<float>::quiet_NaN();
+        AlignedVector<float> y(rows, unknown), z(columns, unknown);
+        table->panel_product(rows, columns, panel.data(), x.data(), y.data());
+        table->panel_transpose_product(rows, columns, panel.data(), t.data(), z.data());
+        for (int i = 0; i < rows; ++i) ASSERT_NEAR(y[i], product[i], SINGLE * L.row(i).norm() * by_x.norm());
+        for (int j = 0; j < columns; ++j) ASSERT_NEAR(z[j], transposed[j], SINGLE * L.col(j).norm() * by_t.norm());
+      }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace bezier_fem
