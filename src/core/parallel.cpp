@@ -44,12 +44,16 @@ public:
       return;
     }
     while (static_cast<int>(threads_.size()) < threads - 1) threads_.emplace_back([this] { serve(); });
-    work_.store(work, std::memory_order_relaxed);
-    data_.store(data, std::memory_order_relaxed);
-    pieces_.store(pieces, std::memory_order_relaxed);
+    // A number in between, of which nothing can be claimed: a claim of the job before fails from here on, also of one
+    // who has seen it with all pieces claimed, and now sees how many there are of this one.
+    const auto before = static_cast<std::uint32_t>(claimed_.load(std::memory_order_relaxed) >> 32);
+    const std::uint32_t between = before + 1, job = before + 2;
+    claimed_.store(std::uint64_t{between} << 32 | NONE);
+    work_.store(work, std::memory_order_release);
+    data_.store(data, std::memory_order_release);
+    pieces_.store(pieces, std::memory_order_release);
     done_.store(0, std::memory_order_relaxed);
-    const std::uint64_t job = (claimed_.load(std::memory_order_relaxed) >> 32) + 1;
-    claimed_.store(job << 32);
+    claimed_.store(std::uint64_t{job} << 32);
     if (asleep_.load() > 0)
     {
       const std::lock_guard<std::mutex> sleepers(mutex_);
@@ -65,6 +69,7 @@ public:
 private:
   static constexpr int SPINS = 1000, YIELDS = 1000;
   static constexpr std::uint64_t FROM_FRONT = 1, FROM_BACK = 1 << 16;
+  static constexpr std::uint64_t NONE = 0xffffffff;  // more than any job has
 
   /**
    * Works on pieces of the job until all are claimed, or until another job has begun. Who has called takes them from

@@ -20,8 +20,8 @@ void forEachPiece(const Partition& partition, const F& f)
     return;
   }
   runPieces(
-      partition.threads(), partition.pieces(), [](const void* data, int piece) { (*static_cast<const F*>(data))(piece); },
-      &f);
+      partition.threads(), partition.pieces(),
+      [](const void* data, int piece) { (*static_cast<const F*>(data))(piece); }, &f);
 }
 
 /**

@@ -6,7 +6,8 @@
 
 namespace bezier_fem
 {
-Partition::Partition(const Model& model, int threads) : num_nodes_(model.num_nodes), threads_(std::clamp(threads, 1, model.num_blocks))
+Partition::Partition(const Model& model, int threads)
+    : num_nodes_(model.num_nodes), threads_(std::clamp(threads, 1, model.num_blocks))
 {
   static_assert(CHUNK % kernels::NODE_GROUP == 0, "chunks are whole groups");
   constexpr int PIECES = 4;  // of a thread
