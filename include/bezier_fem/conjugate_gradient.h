@@ -72,7 +72,7 @@ private:
   NodalField r_, z_, p_, q_;
   std::array<NodalField, 3> basis_, images_;  // of start()
   bool product_known_ = false;                // q_ is A u of what start() has left
-  std::vector<double> partial_;  // a number a chunk of nodes
+  std::vector<double> partial_;               // a number a chunk of nodes
 
   template <class F>
   double sum(const Partition& partition, const F& f);

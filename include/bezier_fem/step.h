@@ -89,9 +89,9 @@ struct Workspace
   NodalField load, force, rhs, led, change, x_before, v_before, predicted;
   Rotations candidate, stage_rotations;
   AlignedVector<double> turned;
-  std::array<NodalField, 3> past;     // changes of v, the last one first
-  int history = 0;                    // how many steps before now they tell of, up to three
-  bool history_is_of_stages = false;  // of sdirk2Step(): they are those of its stages, two a step
+  std::array<NodalField, 3> past;                  // changes of v, the last one first
+  int history = 0;                                 // how many steps before now they tell of, up to three
+  bool history_is_of_stages = false;               // of sdirk2Step(): they are those of its stages, two a step
   std::unique_ptr<Preconditioner> preconditioner;  // beyond the diagonal blocks, since it was first wanted
   Scene::Solver::Preconditioner preconditioner_kind = Scene::Solver::Preconditioner::BLOCK_JACOBI;
   bool preconditioner_failed = false;  // not to be tried again

@@ -27,9 +27,8 @@ template <class Loop>
 void share(const Partition& partition, std::size_t count, const Loop& loop)
 {
   const std::size_t pieces = partition.pieces();
-  forEachPiece(partition, [&](int t) {
-    loop(static_cast<int>(count * t / pieces), static_cast<int>(count * (t + 1) / pieces));
-  });
+  forEachPiece(partition,
+               [&](int t) { loop(static_cast<int>(count * t / pieces), static_cast<int>(count * (t + 1) / pieces)); });
 }
 
 std::size_t blocksOf(const AssembledMatrix& matrix)

@@ -45,6 +45,8 @@ ConjugateGradient::ConjugateGradient(const Model& model, const Partition& partit
       q_(model.num_nodes),
       partial_(partition.numChunks())
 {
+  basis_.fill(NodalField(model.num_nodes));
+  images_.fill(NodalField(model.num_nodes));
 }
 
 template <class F>
@@ -111,7 +113,6 @@ void ConjugateGradient::start(const SystemOperator& system, const Partition& par
   };
   for (int k = 0; k < count; ++k)
   {
-    if (basis_[k].size() != u.size()) basis_[k] = images_[k] = NodalField(u.size());
     basis_[k].matrix() = past[0].matrix();
     if (k == 1) basis_[k].matrix() -= past[1].matrix();
     if (k == 2) basis_[k].matrix() += past[2].matrix() - 2 * past[1].matrix();
@@ -175,7 +176,7 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
       // does not cost a second round.
       residual_before = report.residual;
       report.iterations += preconditioner->improve(r_, std::max(0.9 * target, 1e-3 * std::sqrt(norm2)),
-                                              max_iterations - report.iterations, u);
+                                                   max_iterations - report.iterations, u);
       continue;
     }
     const auto slope = [&] {

@@ -71,10 +71,10 @@ private:
 /** An implicit Euler step from the x and v of a state, alone or as a part of a longer step. */
 struct Stage
 {
-  double length;     // s
-  int past;          // how many of workspace.past are changes of v before this stage
-  bool lasting;      // more of this length will follow, so that what is factored for it will serve again
-  double ahead;      // where a start that is extrapolated from the last two lies beyond the last, in distances of them
+  double length;  // s
+  int past;       // how many of workspace.past are changes of v before this stage
+  bool lasting;   // more of this length will follow, so that what is factored for it will serve again
+  double ahead;   // where a start that is extrapolated from the last two lies beyond the last, in distances of them
 };
 
 /**
