@@ -12,8 +12,8 @@ namespace
 {
 using Kind = Scene::Solver::Preconditioner;
 
-/** Iterations with the diagonal blocks that cost about as much as multigrid's dozen. */
-constexpr int PATIENCE = 60;
+/** Iterations with the diagonal blocks that cost about as much as a few of multigrid's. */
+constexpr int PATIENCE = 20;
 /** The same where the factor may not serve again. */
 constexpr int PATIENCE_ONCE = 200;
 /** Of the linear elements: beyond, their factor takes over half a gigabyte, and ten seconds to make. */

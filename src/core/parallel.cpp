@@ -69,7 +69,7 @@ public:
 private:
   static constexpr int SPINS = 1000, YIELDS = 1000;
   static constexpr std::uint64_t FROM_FRONT = 1, FROM_BACK = 1 << 16;
-  static constexpr std::uint64_t NONE = 0xffffffff;  // more are claimed than any job has
+  static constexpr std::uint64_t NONE = 0xffffffff;  // more than any job has
 
   /**
    * Works on pieces of the job until all are claimed, or until another job has begun. Who has called takes them from
