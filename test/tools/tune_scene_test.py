@@ -53,8 +53,9 @@ class TuneScene(unittest.TestCase):
         xml.etree.ElementTree.parse(self.path("tuned.svg"))
 
     def test_what_cannot_be_met_is_told_and_the_nearest_written(self):
-        said = self.call(TUNE_SCENE, BAR, "--static", "--error", 0.02, "--budget-ms", 0.3, "--out", self.out, status=1)
-        self.assertIn("the budget of 0.3 ms buys", said)
+        # What is good enough takes about 9 ms, the next best a little more than one.
+        said = self.call(TUNE_SCENE, BAR, "--static", "--error", 0.01, "--budget-ms", 3.5, "--out", self.out, status=1)
+        self.assertIn("the budget of 3.5 ms buys", said)
         with open(self.out, encoding="utf-8") as file:
             self.assertIn("NOT met", file.readline())
         self.call(RUN_SCENE, self.out, "--static")
