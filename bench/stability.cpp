@@ -76,9 +76,9 @@ public:
     load(time() + h / 2);
     change_.matrix() = state_.x.matrix() + h * state_.v.matrix();
     elasticForce(model_, partition_, state_.rotations, change_, force_);
-    rhs_.matrix() = h * (rhs_.matrix() - force_.matrix().leftCols(model_.num_nodes));
+    rhs_.matrix() = h * (rhs_.matrix() - force_.matrix());
     systemProduct(model_, partition_, state_.rotations, h * damp, 0, state_.v, force_);
-    rhs_.matrix() -= force_.matrix().leftCols(model_.num_nodes);
+    rhs_.matrix() -= force_.matrix();
 
     const MatrixFreeSystem<Rotations> system(model_, partition_, state_.rotations, 1 + h * damp, h * h);
     solver_.prepare(system, model_, partition_, supports_.held, 1e-3 * h);
@@ -86,7 +86,7 @@ public:
     applySupports(supports_, time() + h, 1, led_);
     led_.matrix() = (led_.matrix() - change_.matrix()) / h;
     system.product(led_, force_);
-    rhs_.matrix() -= force_.matrix().leftCols(model_.num_nodes);
+    rhs_.matrix() -= force_.matrix();
     solve(system);
     state_.v.matrix() += change_.matrix() + led_.matrix();
     state_.x.matrix() += h * state_.v.matrix();
@@ -159,10 +159,10 @@ private:
     {
       elasticForce(model_, partition_, state_.rotations, state_.x, force_);
     }
-    rhs_.matrix() = k * (rhs_.matrix() - force_.matrix().leftCols(model_.num_nodes));
+    rhs_.matrix() = k * (rhs_.matrix() - force_.matrix());
     change_.matrix() = k * scene_.damping.mass * state_.v.matrix() + led_.matrix();
     mass.product(change_, force_);
-    rhs_.matrix() -= force_.matrix().leftCols(model_.num_nodes);
+    rhs_.matrix() -= force_.matrix();
     solve(mass);
     state_.v.matrix() += change_.matrix() + led_.matrix();
   }

@@ -13,8 +13,6 @@
  *
  * K' is the stiffness with the rotations held: symmetric, positive semidefinite in every state, and not the derivative
  * of the elastic force, which would have terms of the turning rotations too.
- *
- * `out` has model.num_nodes rows; rows after the last node are scratch.
  */
 namespace bezier_fem
 {
@@ -29,7 +27,7 @@ void systemProduct(const Model& model, const Partition& partition, const Rotatio
 
 /**
  * The 3x3 diagonal blocks of alpha M + beta K'.
- * @param blocks  8 doubles a row, model.num_nodes rows: xx, yy, zz, 0, xy, xz, yz, 0 of each block
+ * @param blocks  8 doubles a node: xx, yy, zz, 0, xy, xz, yz, 0 of each block
  */
 void systemDiagonal(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
                     double beta, AlignedVector<double>& blocks);

@@ -15,7 +15,6 @@
  * energy, and it may turn inside out.
  *
  * Integrals are exact: F is linear in the barycentric coordinates and the integrands are of degree four.
- * `out` has model.num_nodes rows; rows after the last node are scratch.
  */
 namespace bezier_fem
 {

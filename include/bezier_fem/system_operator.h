@@ -5,8 +5,7 @@
 namespace bezier_fem
 {
 /**
- * alpha M + beta K of a body in one state, as a solver sees it: symmetric, and positive definite for alpha > 0. Fields
- * that it writes have model.num_nodes rows.
+ * alpha M + beta K of a body in one state, as a solver sees it: symmetric, and positive definite for alpha > 0.
  */
 class SystemOperator
 {

@@ -146,7 +146,7 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     // Nothing is free, or nothing is finite.
     product_known_ = false;
     u.setZero();
-    r_.matrix().leftCols(u.size()) = b.matrix().leftCols(u.size());
+    r_.matrix() = b.matrix();
     report.converged = scale == 0;
     report.residual = scale;
     return report;

@@ -87,19 +87,19 @@ private:
     w_.x_before.matrix() = state_.x.matrix();
     if (!green && damp_k > 0) w_.x_before.matrix() += damp_k * state_.v.matrix();
     internalForce(model_, w_.partition, settings_.elasticity, state_.rotations, w_.x_before, w_.force);
-    w_.rhs.matrix() = k * (w_.load.matrix() - nodes(w_.force, model_));
+    w_.rhs.matrix() = k * (w_.load.matrix() - w_.force.matrix());
     if (green && damp_k > 0)
     {
       if (!w_.green) w_.green = std::make_unique<GreenTangent>(model_);
       linearise(model_, w_.partition, state_.x, Projection::POSITIVE_STRESS, *w_.green);
       systemProduct(model_, w_.partition, *w_.green, 0, damp_k, state_.v, w_.force);
-      w_.rhs.matrix() -= k * nodes(w_.force, model_);
+      w_.rhs.matrix() -= k * w_.force.matrix();
     }
     w_.x_before.matrix() = k * damp_m * state_.v.matrix() + w_.led.matrix();
     if (!(w_.x_before.matrix().array() == 0).all())
     {
       mass_.product(w_.x_before, w_.force);
-      w_.rhs.matrix() -= nodes(w_.force, model_);
+      w_.rhs.matrix() -= w_.force.matrix();
     }
     watch_.lap(report_.ms.force);
     // `change` still has the last acceleration to start from.
@@ -108,7 +108,7 @@ private:
     report_.iterations += solved.iterations;
     report_.residual = std::max(report_.residual, solved.residual);
     report_.converged = report_.converged && solved.converged;
-    w_.balance.matrix() = nodes(w_.solver.residual(), model_) / -k;
+    w_.balance.matrix() = w_.solver.residual().matrix() / -k;
     state_.v.matrix() += w_.change.matrix() + w_.led.matrix();
     watch_.lap(report_.ms.solve);
   }

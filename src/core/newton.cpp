@@ -59,7 +59,7 @@ void GreenNewton::quadraticProduct(const NodalField& u, NodalField& out) const
 void GreenNewton::start()
 {
   greenForce(model_, w_.partition, x_, w_.force);
-  m_.gradient.matrix() = m_.quadratic.matrix() + h_ * nodes(w_.force, model_);
+  m_.gradient.matrix() = m_.quadratic.matrix() + h_ * w_.force.matrix();
   m_.first.matrix() = m_.gradient.matrix();
 }
 
@@ -107,12 +107,12 @@ bool GreenNewton::search(const NodalField& direction, int trials)
   // exactly, and without the cancellation of two energies, which would hide the last steps' decrease.
   quadraticProduct(direction, m_.bend);
   const double quadratic_slope = m_.quadratic.matrix().cwiseProduct(direction.matrix()).sum();
-  const double curvature = nodes(m_.bend, model_).cwiseProduct(direction.matrix()).sum();
+  const double curvature = m_.bend.matrix().cwiseProduct(direction.matrix()).sum();
   m_.x.matrix() = x_.matrix();
   const auto slopeAt = [&](double length) {
     x_.matrix() = m_.x.matrix() + length * h_ * direction.matrix();
     greenForce(model_, w_.partition, x_, w_.force);
-    const double work = nodes(w_.force, model_).cwiseProduct(direction.matrix()).sum();
+    const double work = w_.force.matrix().cwiseProduct(direction.matrix()).sum();
     return quadratic_slope + length * curvature + h_ * work;
   };
   const double slope = m_.gradient.matrix().cwiseProduct(direction.matrix()).sum();
@@ -125,8 +125,8 @@ bool GreenNewton::search(const NodalField& direction, int trials)
     if (change <= 1e-4 * length * std::min(slope, 0.0))
     {
       v_.matrix() += length * direction.matrix();
-      m_.quadratic.matrix() += length * nodes(m_.bend, model_);
-      m_.gradient.matrix() = m_.quadratic.matrix() + h_ * nodes(w_.force, model_);
+      m_.quadratic.matrix() += length * m_.bend.matrix();
+      m_.gradient.matrix() = m_.quadratic.matrix() + h_ * w_.force.matrix();
       return true;
     }
     // The zero of the slope on a straight line, where there is one.
@@ -150,7 +150,7 @@ void newtonStage(const Model& model, const StepSettings& settings, const Support
   //     M (v - v_0) + h (f_el(x_0 + h v) + D v - f_ext),   D = a M + b K_0 held during the stage.
   if (damp_k > 0) linearise(model, w.partition, state.x, Projection::POSITIVE_STRESS, m.damping);
   systemProduct(model, w.partition, state.rotations, 1, 0, state.v, w.force);
-  m.quadratic.matrix() = -h * w.load.matrix() - nodes(w.force, model);
+  m.quadratic.matrix() = -h * w.load.matrix() - w.force.matrix();
   m.start.matrix() = state.v.matrix();
   state.x.matrix() += h * state.v.matrix();
   // Held and led components start, and stay, where they have to be at the end of the stage.
@@ -166,7 +166,7 @@ void newtonStage(const Model& model, const StepSettings& settings, const Support
 
   GreenNewton newton(model, supports, state.rotations, h, 1 + h * damp_m, h * damp_k, 1e-3 * h, state.x, state.v, w);
   newton.quadraticProduct(state.v, w.force);
-  m.quadratic.matrix() += nodes(w.force, model);
+  m.quadratic.matrix() += w.force.matrix();
   newton.start();
   if (stage.past > 0 && (stage.past > 1 || stage.ahead == 0))
   {

@@ -16,7 +16,7 @@ struct NewtonMemory
   NodalField quadratic;  // gradient of the quadratic part at the iterate
   NodalField gradient;   // of the sum
   NodalField first;      // the same where the residual is measured from
-  NodalField bend;       // how `quadratic` changes along a direction; model.num_nodes rows
+  NodalField bend;       // how `quadratic` changes along a direction
   NodalField start;      // v that a stage starts from
   NodalField x;          // positions that a line search starts from
 };

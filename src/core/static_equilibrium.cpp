@@ -44,7 +44,7 @@ public:
   {
     externalForce(model_, settings_, loads_, external_, time_, x, w_.load);
     elasticForce(model_, w_.partition, rotations, x, w_.force);
-    w_.rhs.matrix() = w_.load.matrix() - w_.force.matrix().leftCols(model_.num_nodes);
+    w_.rhs.matrix() = w_.load.matrix() - w_.force.matrix();
   }
 
   /** The work of the forces out of balance on `direction`, which is zero where the body is held. */

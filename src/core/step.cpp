@@ -136,7 +136,7 @@ private:
     keepMomentum();
     const auto along = [&](const Rotations& rotations) {
       elasticForce(model_, w_.partition, rotations, state_.x, w_.force);
-      return h * nodes(w_.force, model_).cwiseProduct(w_.change.matrix()).sum();
+      return h * w_.force.matrix().cwiseProduct(w_.change.matrix()).sum();
     };
     // With the old rotations the slope along the change goes from -start at length 0 to 0 at length 1.
     const double start = w_.rhs.matrix().cwiseProduct(w_.change.matrix()).sum();
@@ -256,11 +256,11 @@ private:
     // f_el(x) + (h + b) K' v = f_el(x + (h + b) v), because f_el is affine while the rotations are held.
     w_.predicted.matrix() = state_.x.matrix() + (h + damp_k) * state_.v.matrix();
     elasticForce(model_, w_.partition, rotations, w_.predicted, w_.force);
-    w_.rhs.matrix() = h * (w_.load.matrix() - nodes(w_.force, model_));
+    w_.rhs.matrix() = h * (w_.load.matrix() - w_.force.matrix());
     if (damp_m > 0)
     {
       systemProduct(model_, w_.partition, rotations, h * damp_m, 0, state_.v, w_.force);
-      w_.rhs.matrix() -= nodes(w_.force, model_);
+      w_.rhs.matrix() -= w_.force.matrix();
     }
     watch.lap(report.ms.force);
 
@@ -283,7 +283,7 @@ private:
     if (led)
     {
       system.product(w_.led, w_.force);
-      w_.rhs.matrix() -= nodes(w_.force, model_);
+      w_.rhs.matrix() -= w_.force.matrix();
     }
 
     w_.solver.start(system, w_.partition, w_.rhs, w_.past, std::min(stage.past, 3), w_.change);
@@ -293,7 +293,7 @@ private:
                 : settings_.elasticity == Elasticity::LINEAR ? Serves::ALWAYS
                                                              : Serves::SAME_COEFFICIENTS,
                 w_, report);
-    w_.balance.matrix() = nodes(w_.solver.residual(), model_) / -h;
+    w_.balance.matrix() = w_.solver.residual().matrix() / -h;
 
     state_.v.matrix() += w_.change.matrix();
     if (led) state_.v.matrix() += w_.led.matrix();

@@ -221,7 +221,7 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
     ASSERT_EQ(partition.threads(), threads);
     NodalField product(model.num_nodes), again(model.num_nodes);
     systemProduct(model, partition, bent.rotations, 2, 0.3, u, product);
-    const auto difference = product.matrix().leftCols(model.num_nodes) - expected.matrix();
+    const auto difference = product.matrix() - expected.matrix();
     EXPECT_EQ(difference.norm(), 0);
     systemProduct(model, partition, bent.rotations, 2, 0.3, u, again);
     EXPECT_EQ((again.matrix() - product.matrix()).norm(), 0);
