@@ -151,6 +151,7 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     report.residual = scale;
     return report;
   }
+  bool may_restart = !product_known_;  // start()'s is not
   double residual_before = std::numeric_limits<double>::infinity();
   while (true)
   {
@@ -166,6 +167,14 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     double norm2 = sum(partition, [&](int begin, int end) {
       return kernel.advance(begin, end, 0, p_.data(), q_.data(), inverse_.data(), z_.data(), r_.data(), z_.data());
     });
+    if (may_restart && norm2 > scale * scale)
+    {
+      // The start value is worse than none.
+      may_restart = false;
+      u.setZero();
+      continue;
+    }
+    may_restart = false;
     report.residual = std::sqrt(norm2) / scale;
     report.converged = report.residual <= tolerance;
     if (report.converged || report.iterations >= max_iterations || !std::isfinite(norm2)) return report;

@@ -35,8 +35,7 @@ void accumulate(const Model& model, const Partition& partition, int points, doub
          partition.shares() + kernels::ZERO_ROWS * kernels::SHARES);
   });
   forEachPiece(partition, [&](int t) {
-    kernels::table().sum_shares(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), partition.shares(),
-                                nullptr, out);
+    kernels::table().sum_shares(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), partition.shares(), out);
   });
 }
 

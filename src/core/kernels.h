@@ -241,8 +241,8 @@ struct Table
   void (*block_product)(const BlockRows& rows, int begin, int end, const double* blocks, const double* x, double* y);
 
   // Vector operations over nodes [begin, end).
-  /** Sums of the shares, and u . sum where u is not null; begin is the first node of a group. */
-  double (*sum_shares)(const NodeShares& lists, int begin, int end, const double* shares, const double* u, double* out);
+  /** Sums of the shares; begin is the first node of a group. */
+  void (*sum_shares)(const NodeShares& lists, int begin, int end, const double* shares, double* out);
   /** The same of add_diagonal(), to DIAGONAL_STRIDE doubles a node. */
   void (*sum_diagonals)(const NodeShares& lists, int begin, int end, const double* shares, double* out);
   double (*dot)(int begin, int end, const double* a, const double* b);

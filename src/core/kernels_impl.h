@@ -395,16 +395,12 @@ ALWAYS_INLINE void forEachSum(const NodeShares& lists, int begin, int end, const
   }
 }
 
-double sumShares(const NodeShares& lists, int begin, int end, const double* shares, const double* u, double* out)
+void sumShares(const NodeShares& lists, int begin, int end, const double* shares, double* out)
 {
-  Node work[NODE_GROUP] = {};
   forEachSum<Node>(lists, begin, end, shares, [&](int i, const Node* sum) {
     const int count = end - i < NODE_GROUP ? end - i : NODE_GROUP;
     for (int k = 0; k < count; ++k) *reinterpret_cast<Node*>(out + 4L * (i + k)) = sum[k];
-    for (int k = 0; k < count && u; ++k) work[k] += sum[k] * loadNode(u, i + k);
   });
-  const Node total = (work[0] + work[1]) + (work[2] + work[3]);
-  return (total[0] + total[1]) + (total[2] + total[3]);
 }
 
 void sumDiagonals(const NodeShares& lists, int begin, int end, const double* shares, double* out)

@@ -136,6 +136,13 @@ bool GreenNewton::search(const NodalField& direction, int trials)
   return false;
 }
 
+bool extrapolate(const Stage& stage, Workspace& w)
+{
+  if (stage.past == 0 || (stage.past == 1 && stage.ahead != 0)) return false;
+  w.change.matrix() = (1 + stage.ahead) * w.past[0].matrix() - stage.ahead * w.past[1].matrix();
+  return true;
+}
+
 void newtonStage(const Model& model, const StepSettings& settings, const Supports& supports, const Stage& stage,
                  State& state, Workspace& w, StepReport& report)
 {
@@ -168,11 +175,7 @@ void newtonStage(const Model& model, const StepSettings& settings, const Support
   newton.quadraticProduct(state.v, w.force);
   m.quadratic.matrix() += w.force.matrix();
   newton.start();
-  if (stage.past > 0 && (stage.past > 1 || stage.ahead == 0))
-  {
-    w.change.matrix() = (1 + stage.ahead) * w.past[0].matrix() - stage.ahead * w.past[1].matrix();
-    newton.tryDirection(w.change);
-  }
+  if (extrapolate(stage, w)) newton.tryDirection(w.change);
   watch.lap(report.ms.force);
 
   double now = 0, before = 0;

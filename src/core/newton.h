@@ -77,6 +77,9 @@ struct Stage
   double ahead;   // where a start that is extrapolated from the last two lies beyond the last, in distances of them
 };
 
+/** Sets workspace.change to what the last two changes of v lead to, where there are so many. */
+bool extrapolate(const Stage& stage, Workspace& workspace);
+
 /**
  * The stage of Green's strain, under the force workspace.load and to the positions workspace.led where held: sets x and
  * v, and workspace.change to the change of v where free.

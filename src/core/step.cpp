@@ -286,7 +286,15 @@ private:
       w_.rhs.matrix() -= w_.force.matrix();
     }
 
-    w_.solver.start(system, w_.partition, w_.rhs, w_.past, std::min(stage.past, 3), w_.change);
+    // The nearest start costs as much as two or three iterations with the diagonal blocks, which is what it saves then.
+    if (w_.preconditioner)
+    {
+      w_.solver.start(system, w_.partition, w_.rhs, w_.past, std::min(stage.past, 3), w_.change);
+    }
+    else if (!extrapolate(stage, w_))
+    {
+      w_.change.setZero();
+    }
     solveLinear(model_, settings_, supports_, rotations, system, alpha, beta, settings_.solver.tolerance,
                 std::max(1, settings_.solver.max_iterations),
                 !stage.lasting                               ? Serves::ONCE

@@ -332,11 +332,11 @@ TEST_P(GreenStrain, EveryInstructionSetAndThreadCountAgrees)
     AlignedVector<double> shares(2 * kernels::SHARES * (kernels::ZERO_ROWS + larger.nodes_per_tet * larger.num_blocks));
     green.add_force(elements, 0, larger.num_blocks, rest, x.data(),
                     shares.data() + kernels::ZERO_ROWS * kernels::SHARES);
-    table.sum_shares(lists, 0, larger.num_nodes, shares.data(), nullptr, r.force.data());
+    table.sum_shares(lists, 0, larger.num_nodes, shares.data(), r.force.data());
     green.linearise(elements, 0, larger.num_blocks, rest, x.data(), projected, t.blocks.data());
     green.add_product(elements, 0, larger.num_blocks, rest, t.blocks.data(), 2, 0.3, u.data(),
                       shares.data() + kernels::ZERO_ROWS * kernels::SHARES);
-    table.sum_shares(lists, 0, larger.num_nodes, shares.data(), nullptr, r.product.data());
+    table.sum_shares(lists, 0, larger.num_nodes, shares.data(), r.product.data());
     std::fill(shares.begin(), shares.end(), 0.0);
     green.add_diagonal(elements, 0, larger.num_blocks, rest, t.blocks.data(), 2, 0.3,
                        shares.data() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
