@@ -91,6 +91,7 @@ struct Workspace
   AlignedVector<double> turned;
   std::array<NodalField, 3> past;                  // changes of v, the last one first
   int history = 0;                                 // how many steps before now they tell of, up to three
+  int last_iterations = 0;                         // of the last system
   bool history_is_of_stages = false;               // of sdirk2Step(): they are those of its stages, two a step
   std::unique_ptr<Preconditioner> preconditioner;  // beyond the diagonal blocks, since it was first wanted
   Scene::Solver::Preconditioner preconditioner_kind = Scene::Solver::Preconditioner::BLOCK_JACOBI;

@@ -286,8 +286,10 @@ private:
       w_.rhs.matrix() -= w_.force.matrix();
     }
 
-    // The nearest start costs as much as two or three iterations with the diagonal blocks, which is what it saves then.
-    if (w_.preconditioner)
+    // The nearest start costs as much as two or three iterations with the diagonal blocks, which is what it saves where
+    // there are few.
+    constexpr int FEW = 20;
+    if (w_.preconditioner || w_.last_iterations > FEW)
     {
       w_.solver.start(system, w_.partition, w_.rhs, w_.past, std::min(stage.past, 3), w_.change);
     }
@@ -295,12 +297,14 @@ private:
     {
       w_.change.setZero();
     }
+    const int before = report.iterations;
     solveLinear(model_, settings_, supports_, rotations, system, alpha, beta, settings_.solver.tolerance,
                 std::max(1, settings_.solver.max_iterations),
                 !stage.lasting                               ? Serves::ONCE
                 : settings_.elasticity == Elasticity::LINEAR ? Serves::ALWAYS
                                                              : Serves::SAME_COEFFICIENTS,
                 w_, report);
+    w_.last_iterations = report.iterations - before;
     w_.balance.matrix() = w_.solver.residual().matrix() / -h;
 
     state_.v.matrix() += w_.change.matrix();
@@ -374,6 +378,7 @@ Workspace::~Workspace() = default;
 void Workspace::forgetHistory()
 {
   history = 0;
+  last_iterations = 0;
   preconditioner.reset();
   preconditioner_failed = false;
   prepared.reset();
