@@ -26,7 +26,7 @@ ERRORS = ("tip", "field_rms", "field_max", "von_mises", "period", "decay")
 NO_REFERENCE = 0.2  # own error of the tip above which a reference is none
 STRICT = 1e-6  # tolerance of equilibria and references: their errors are the mesh's
 FOUR = {"rotation": "four"}  # the gradient of an energy: converges from one side, which references need
-DEEP = {"solver.tolerance": STRICT, "solver.preconditioner": "pmultigrid"}  # also above auto's 7000 vertices
+DEEP = {"solver.tolerance": STRICT, "solver.preconditioner": "pmultigrid"}  # also above the vertices that auto stops at
 BLOCKS = {"solver.preconditioner": "block_jacobi"}
 
 
