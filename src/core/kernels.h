@@ -66,6 +66,7 @@ struct SingleElements
   const float* rotated;       // [block][9][LANES]
   const float* coefficients;  // [block][3][LANES]: beta V lambda_L, beta V mu, alpha V rho
   const float* mean;          // [block][LANES]: beta times Elements::mean, or null
+  bool mass;                  // whether alpha M is part of their products
 };
 
 /** Nodes whose inverted diagonal blocks lie side by side in single precision: three columns of x, y, z, 0 of each. */
@@ -253,23 +254,26 @@ struct Table
   void (*redirect)(int begin, int end, double b, const double* z, double* p);
 
   // In single precision, for preconditioners; nodes in whole groups of INVERSE_GROUP.
-  /** Shares of (alpha M + beta K') u over blocks [begin, end). */
+  /** Shares of (alpha M + beta K') u, or of beta K' u, over blocks [begin, end). */
   void (*single_product)(const SingleElements& elements, int begin, int end, const float* u, float* shares);
-  /** Shares of (alpha M + beta K') P c of linear elements' values c. */
+  /** The same of u = P c, c the values of linear elements. */
   void (*prolonged_product)(const SingleElements& elements, int begin, int end, const float* c, float* shares);
   /** q = sum of the shares; returns p . q */
   double (*single_sum)(const NodeShares& lists, int begin, int end, const float* shares, const float* p, float* q);
-  /** x += a p, r -= a q, s = r, d = z = gain B^-1 r; returns r . B^-1 r. */
+  /**
+   * x += a p, r -= a q, d = z = gain B^-1 r, s = r - mass d; returns r . B^-1 r.
+   * @param mass  a number a node: lumped, where products leave it to the nodes, or zero
+   */
   double (*single_advance)(int begin, int end, float a, float gain, const float* p, const float* q,
-                           const float* inverse, float* x, float* r, float* s, float* d, float* z);
+                           const float* inverse, const float* mass, float* x, float* r, float* s, float* d, float* z);
   double (*single_dot)(int begin, int end, const float* a, const float* b);
   /** p = z + b p */
   void (*single_redirect)(int begin, int end, float b, const float* z, float* p);
   /** r -= the sum of the shares */
   void (*subtract_shares)(const NodeShares& lists, int begin, int end, const float* shares, float* r);
-  /** That, then d = keep d + gain B^-1 r, z += d. */
+  /** That, then d = keep d + gain B^-1 r, z += d, r -= mass d. */
   void (*single_chebyshev)(const NodeShares& lists, int begin, int end, float keep, float gain, const float* shares,
-                           const float* inverse, float* r, float* d, float* z);
+                           const float* inverse, const float* mass, float* r, float* d, float* z);
   /** y = L x and y = L^T x of a panel L by columns, its rows a multiple of LANES. */
   void (*panel_product)(int rows, int columns, const float* panel, const float* x, float* y);
   void (*panel_transpose_product)(int rows, int columns, const float* panel, const float* x, float* y);

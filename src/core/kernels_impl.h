@@ -530,7 +530,7 @@ const Table TABLE = {
     advance,
     redirect,
     singleProductAny,
-    prolongedProduct,
+    prolongedProductAny,
     singleSum,
     singleAdvance,
     singleDot,

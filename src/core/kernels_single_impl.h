@@ -22,48 +22,66 @@ ALWAYS_INLINE void forEachSingle(const SingleElements& e, int begin, int end, co
   }
 }
 
-template <bool MEAN>
+template <bool MEAN, bool MASS>
 void singleProduct(const SingleElements& elements, int begin, int end, const float* u, float* shares)
 {
   forEachSingle<10, MEAN>(elements, begin, end, u, shares,
                           [](const float* g, const Vec3Of<SingleVec>* in, SingleVec lambda, SingleVec mu,
-                             SingleVec mass, SingleVec mean, Vec3Of<SingleVec>* out) {
+                             [[maybe_unused]] SingleVec mass, SingleVec mean, Vec3Of<SingleVec>* out) {
                             elasticForce<10, 1, MEAN>(g, in, 0, lambda, mu, mean, out);
-                            addMass<10>(in, mass, out);
+                            if constexpr (MASS) addMass<10>(in, mass, out);
                           });
 }
 
 void singleProductAny(const SingleElements& elements, int begin, int end, const float* u, float* shares)
 {
-  (elements.mean ? singleProduct<true> : singleProduct<false>)(elements, begin, end, u, shares);
+  if (elements.mean)
+  {
+    (elements.mass ? singleProduct<true, true> : singleProduct<true, false>)(elements, begin, end, u, shares);
+  }
+  else
+  {
+    (elements.mass ? singleProduct<false, true> : singleProduct<false, false>)(elements, begin, end, u, shares);
+  }
 }
 
 /** One stress for the whole element, V/2 of it for r_a at (a,a) and r_a + r_b at (a,b); of the mass V/60 (c_a + c_b +
  * sum of all c). */
+template <bool MASS>
 void prolongedProduct(const SingleElements& elements, int begin, int end, const float* corners, float* shares)
 {
   using V = SingleVec;
-  forEachSingle<4, false>(
-      elements, begin, end, corners, shares,
-      [](const float* rotated, const Vec3Of<V>* c, V lambda, V mu, V mass, V /*mean*/, Vec3Of<V>* out) {
-        const V half = all<V>(0.5);
-        const auto g = loadGradients(rotated);
-        V dilatation = {};
-        const SymOf<V> s = stress(g, c[1] - c[0], c[2] - c[0], c[3] - c[0], 0, half * lambda, half * mu, dilatation);
-        const Vec3Of<V> half_total = half * (c[0] + c[1] + c[2] + c[3]);
-        const V scale = mass * all<V>(1.0 / 60);
-        Vec3Of<V> share[4], sum[4];
-        for (int a = 0; a < 4; ++a)
-        {
-          share[a] = scale * (c[a] + half_total);
-          sum[a] = s * g.r[a] + share[a];
-        }
-        for (int a = 0; a < 4; ++a)
-        {
-          out[a] = sum[a] + share[a];
-          for (int b = a + 1; b < 4; ++b) out[POINT[a][b]] = sum[a] + sum[b];
-        }
-      });
+  forEachSingle<4, false>(elements, begin, end, corners, shares,
+                          [](const float* rotated, const Vec3Of<V>* c, V lambda, V mu, [[maybe_unused]] V mass,
+                             V /*mean*/, Vec3Of<V>* out) {
+                            const V half = all<V>(0.5);
+                            const auto g = loadGradients(rotated);
+                            V dilatation = {};
+                            const SymOf<V> s = stress(g, c[1] - c[0], c[2] - c[0], c[3] - c[0], 0, half * lambda,
+                                                      half * mu, dilatation);
+                            Vec3Of<V> sum[4];
+                            for (int a = 0; a < 4; ++a) out[a] = sum[a] = s * g.r[a];
+                            if constexpr (MASS)
+                            {
+                              const Vec3Of<V> half_total = half * (c[0] + c[1] + c[2] + c[3]);
+                              const V scale = mass * all<V>(1.0 / 60);
+                              for (int a = 0; a < 4; ++a)
+                              {
+                                const Vec3Of<V> share = scale * (c[a] + half_total);
+                                sum[a] = sum[a] + share;
+                                out[a] = sum[a] + share;
+                              }
+                            }
+                            for (int a = 0; a < 4; ++a)
+                            {
+                              for (int b = a + 1; b < 4; ++b) out[POINT[a][b]] = sum[a] + sum[b];
+                            }
+                          });
+}
+
+void prolongedProductAny(const SingleElements& elements, int begin, int end, const float* corners, float* shares)
+{
+  (elements.mass ? prolongedProduct<true> : prolongedProduct<false>)(elements, begin, end, corners, shares);
 }
 
 /** B^-1 r of SINGLE_WIDTH / 4 nodes. @param inverse  three columns of each, INVERSE_GROUP nodes side by side */
@@ -92,6 +110,24 @@ ALWAYS_INLINE void forEachSingleSum(const NodeShares& lists, int begin, int end,
   });
 }
 
+/** The number of each of SINGLE_WIDTH / 4 nodes four times; `at` is the first one's offset of values. */
+ALWAYS_INLINE SingleVec byNodes(const float* numbers, long at)
+{
+#if WIDTH == 8
+  // In fewer steps GCC 12 takes it through memory.
+  const SingleNode n = *reinterpret_cast<const SingleNode*>(numbers + at / 4);
+  const auto two = __builtin_shufflevector(n, n, 0, 1, 2, 3, 0, 1, 2, 3);
+  const SingleVec four = __builtin_shufflevector(two, two, 0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7);
+  return __builtin_shufflevector(four, four, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
+#elif WIDTH == 4
+  const float first = numbers[at / 4], second = numbers[at / 4 + 1];
+  const SingleNode a = {first, first, first, first}, b = {second, second, second, second};
+  return __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7);
+#else
+  return SingleVec{} + numbers[at / 4];
+#endif
+}
+
 void subtractShares(const NodeShares& lists, int begin, int end, const float* shares, float* r)
 {
   forEachSingleSum(lists, begin, end, shares,
@@ -99,15 +135,15 @@ void subtractShares(const NodeShares& lists, int begin, int end, const float* sh
 }
 
 void singleChebyshev(const NodeShares& lists, int begin, int end, float keep, float gain, const float* shares,
-                     const float* inverse, float* r, float* d, float* z)
+                     const float* inverse, const float* mass, float* r, float* d, float* z)
 {
   const SingleVec k = SingleVec{} + keep, g = SingleVec{} + gain;
   forEachSingleSum(lists, begin, end, shares, [&](long at, long block, SingleVec sum) {
     const SingleVec res = load(r + at) - sum;
-    store(r + at, res);
     // What a first term has nothing to keep of may be anything.
     SingleVec direction = g * timesInverse(inverse + block, res);
     if (keep != 0) direction += k * load(d + at);
+    store(r + at, res - byNodes(mass, at) * direction);
     store(d + at, direction);
     store(z + at, load(z + at) + direction);
   });
@@ -145,17 +181,18 @@ ALWAYS_INLINE void forEachSingleNodes(int begin, int end, const F& f)
 }
 
 double singleAdvance(int begin, int end, float a, float gain, const float* p, const float* q, const float* inverse,
-                     float* x, float* r, float* s, float* d, float* z)
+                     const float* mass, float* x, float* r, float* s, float* d, float* z)
 {
   SingleVec sum = {};
   const SingleVec length = SingleVec{} + a, g = SingleVec{} + gain;
   forEachSingleNodes(begin, end, [&](long at, long block) {
     store(x + at, load(x + at) + length * load(p + at));
     const SingleVec res = load(r + at) - length * load(q + at), pre = timesInverse(inverse + block, res);
+    const SingleVec direction = g * pre;
     store(r + at, res);
-    store(s + at, res);
-    store(d + at, g * pre);
-    store(z + at, g * pre);
+    store(s + at, res - byNodes(mass, at) * direction);
+    store(d + at, direction);
+    store(z + at, direction);
     sum += res * pre;
   });
   return total(sum);

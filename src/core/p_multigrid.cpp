@@ -19,6 +19,12 @@ namespace
 constexpr int DEGREE = 3;
 /** The smoother takes care of eigenvalues down to the largest over this. */
 constexpr double RANGE = 30;
+/**
+ * Up to this share of the mass in the diagonal, on average over the nodes, the smoother's operator has the mass lumped
+ * at the nodes, which spares a fifth of its product. It takes no more iterations up to there (bunny and armadillo, time
+ * steps of 1 to 20 ms); where the mass prevails, half as many again.
+ */
+constexpr double LUMPED_SHARE = 0.25;
 /** The largest eigenvalue is estimated from below, and changes a little as the elements turn. */
 constexpr double MARGIN = 1.1;
 
@@ -80,6 +86,7 @@ public:
     constexpr std::size_t GROUP = kernels::NODE_GROUP;
     const std::size_t nodes = (static_cast<std::size_t>(model.num_nodes) + GROUP - 1) / GROUP * GROUP;
     inverse_.resize(12 * nodes);
+    mass_.resize(nodes);
     for (AlignedVector<float>* field : {&solution, &remaining, &search, &product, &residual, &direction, &correction})
     {
       field->resize(4 * nodes);
@@ -89,7 +96,12 @@ public:
   void take(const Rotations& rotations, double alpha, double beta, const AlignedVector<double>& inverse)
   {
     takeElements(rotations, alpha, beta);
-    takeInverse(inverse);
+    const double share = takeInverse(alpha, inverse) / model_.num_nodes;
+    lumped_ = share < LUMPED_SHARE;
+    for (int i = 0; i < model_.num_nodes; ++i)
+    {
+      mass_[i] = lumped_ ? static_cast<float>(alpha * model_.node_mass[i]) : 0.0f;
+    }
   }
 
   /**
@@ -130,18 +142,14 @@ public:
   bool estimated() const { return largest_ > 0; }
 
   /** Leaves the shares of A u. */
-  void multiply(const AlignedVector<float>& u)
-  {
-    forEachPiece(partition_, [&](int t) {
-      kernels::table().single_product(elements(), partition_.blockBegin(t), partition_.blockEnd(t), u.data(),
-                                      shares_.data() + FIRST_SHARE);
-    });
-  }
+  void multiply(const AlignedVector<float>& u) { multiply(u, true); }
+  /** The same of the smoother's operator, without what of the mass is lumped. */
+  void multiplySmoothed(const AlignedVector<float>& u) { multiply(u, !lumped_); }
   /** The same of P c, c of the corners. */
   void multiplyProlonged(const float* corners)
   {
     forEachPiece(partition_, [&](int t) {
-      kernels::table().prolonged_product(elements(), partition_.blockBegin(t), partition_.blockEnd(t), corners,
+      kernels::table().prolonged_product(elements(!lumped_), partition_.blockBegin(t), partition_.blockEnd(t), corners,
                                          shares_.data() + FIRST_SHARE);
     });
   }
@@ -154,14 +162,17 @@ public:
                                        residual.data());
     });
   }
+  /** Mass that the smoother's operator has at a node. */
+  float lumpedMass(int node) const { return mass_[node]; }
 
   /** solution += a search, remaining -= a product; then the first term for it, and remaining . B^-1 remaining. */
   double advance(double a)
   {
     return sum([&](int begin, int end) {
       return kernels::table().single_advance(begin, end, static_cast<float>(a), static_cast<float>(1 / centre()),
-                                             search.data(), product.data(), inverse_.data(), solution.data(),
-                                             remaining.data(), residual.data(), direction.data(), correction.data());
+                                             search.data(), product.data(), inverse_.data(), mass_.data(),
+                                             solution.data(), remaining.data(), residual.data(), direction.data(),
+                                             correction.data());
     });
   }
 
@@ -192,7 +203,7 @@ public:
 
   /**
    * Chebyshev's iteration for the residual, DEGREE terms of which the first is there already, or after a step of which
-   * the shares have A times. The residual is left as it is before the last term.
+   * the shares have A times. Of the last one only the lumped mass is taken off the residual.
    */
   void smooth(bool has_first)
   {
@@ -201,7 +212,7 @@ public:
     if (!has_first) chebyshev(0, 1 / centre());
     for (int k = 1; k < DEGREE; ++k)
     {
-      multiply(direction);
+      multiplySmoothed(direction);
       const double next = 1 / (2 * sigma - rho);
       chebyshev(next * rho, 2 * next / radius);
       rho = next;
@@ -215,10 +226,22 @@ public:
 private:
   double centre() const { return MARGIN * largest_ * (1 + 1 / RANGE) / 2; }
 
-  kernels::SingleElements elements() const
+  kernels::SingleElements elements(bool mass) const
   {
-    return {model_.block_nodes.data(), linear_.block_nodes.data(), rotated_.data(), coefficients_.data(),
-            mean_.empty() ? nullptr : mean_.data()};
+    return {model_.block_nodes.data(),
+            linear_.block_nodes.data(),
+            rotated_.data(),
+            coefficients_.data(),
+            mean_.empty() ? nullptr : mean_.data(),
+            mass};
+  }
+
+  void multiply(const AlignedVector<float>& u, bool mass)
+  {
+    forEachPiece(partition_, [&](int t) {
+      kernels::table().single_product(elements(mass), partition_.blockBegin(t), partition_.blockEnd(t), u.data(),
+                                      shares_.data() + FIRST_SHARE);
+    });
   }
 
   void chebyshev(double keep, double gain)
@@ -226,7 +249,8 @@ private:
     forEachPiece(partition_, [&](int t) {
       kernels::table().single_chebyshev(sharesOf(model_), partition_.nodeBegin(t), partition_.nodeEnd(t),
                                         static_cast<float>(keep), static_cast<float>(gain), shares_.data(),
-                                        inverse_.data(), residual.data(), direction.data(), correction.data());
+                                        inverse_.data(), mass_.data(), residual.data(), direction.data(),
+                                        correction.data());
     });
   }
 
@@ -263,24 +287,30 @@ private:
     for (std::size_t k = 0; k < mean_.size(); ++k) mean_[k] = static_cast<float>(beta * model_.block_mean[k]);
   }
 
-  void takeInverse(const AlignedVector<double>& inverse)
+  /** Returns the sum over the nodes of the mass's share in the diagonal. */
+  double takeInverse(double alpha, const AlignedVector<double>& inverse)
   {
     constexpr int GROUP = kernels::NODE_GROUP;
-    forEachPiece(partition_, [&](int t) {
-      for (std::ptrdiff_t i = partition_.nodeBegin(t); i < partition_.nodeEnd(t); ++i)
+    return sum([&](int begin, int end) {
+      double share = 0;
+      for (std::ptrdiff_t i = begin; i < end; ++i)
       {
         const double* from = inverse.data() + kernels::INVERSE_STRIDE * i;
         float* to = inverse_.data() + i / GROUP * 12 * GROUP + i % GROUP * 4;
         for (int k = 0; k < 12; ++k) to[4 * GROUP * (k / 4) + k % 4] = static_cast<float>(from[k]);
+        share += alpha * model_.node_mass[i] * (from[0] + from[5] + from[10]) / 3;
       }
+      return share;
     });
   }
 
   const Model &model_, &linear_;
   const Partition& partition_;
   double largest_ = 0;
+  bool lumped_ = false;
   // kernels.h tells the layouts.
   AlignedVector<float> rotated_, coefficients_, mean_, inverse_, shares_;
+  AlignedVector<float> mass_;    // lumped, of the smoother; zero where it is not
   std::vector<double> partial_;  // a number a chunk of nodes
 };
 
@@ -360,7 +390,7 @@ void PMultigrid::cycle()
 {
   QuadraticLevel& level = *quadratic_;
   level.smooth(true);
-  level.multiply(level.direction);
+  level.multiplySmoothed(level.direction);
   level.subtract();
   using Node = Eigen::Map<Eigen::Vector4f, Eigen::Aligned16>;
   using ConstNode = Eigen::Map<const Eigen::Vector4f, Eigen::Aligned16>;
@@ -381,7 +411,9 @@ void PMultigrid::cycle()
     for (int i = partition_.nodeBegin(piece); i < partition_.nodeEnd(piece); ++i)
     {
       const auto [a, b] = vertices_of_[i];
-      Node(level.correction.data() + 4L * i) += 0.5f * (ConstNode(corners + 4L * a) + ConstNode(corners + 4L * b));
+      const Eigen::Vector4f mean = 0.5f * (ConstNode(corners + 4L * a) + ConstNode(corners + 4L * b));
+      Node(level.correction.data() + 4L * i) += mean;
+      Node(level.residual.data() + 4L * i) -= level.lumpedMass(i) * mean;
     }
   });
   level.multiplyProlonged(corners);

@@ -33,6 +33,17 @@ std::vector<const kernels::Table*> tables()
   return result;
 }
 
+/** Each with and without the mass as a part of products. */
+std::vector<std::pair<const kernels::Table*, bool>> tablesAndMasses()
+{
+  std::vector<std::pair<const kernels::Table*, bool>> result;
+  for (const kernels::Table* table : tables())
+  {
+    for (const bool mass : {true, false}) result.emplace_back(table, mass);
+  }
+  return result;
+}
+
 struct Variant
 {
   const char* name;
@@ -227,22 +238,40 @@ protected:
     result.matrix() = result.matrix().cast<float>().cast<double>();
     return result;
   }
-  /** (alpha M + beta K') u in double precision. */
-  NodalField product(const NodalField& u) const
+  /** (alpha M + beta K') u, or beta K' u, in double precision. */
+  NodalField product(const NodalField& u, bool mass = true) const
   {
     NodalField result(model.num_nodes);
-    systemProduct(model, partition, rotations, ALPHA, BETA, u, result);
+    systemProduct(model, partition, rotations, mass ? ALPHA : 0, BETA, u, result);
     return result;
   }
-  kernels::SingleElements elements() const
+  kernels::SingleElements elements(bool mass) const
   {
-    return {model.block_nodes.data(), corner_nodes.data(), rotated.data(), coefficients.data(),
-            mean.empty() ? nullptr : mean.data()};
+    return {model.block_nodes.data(),
+            corner_nodes.data(),
+            rotated.data(),
+            coefficients.data(),
+            mean.empty() ? nullptr : mean.data(),
+            mass};
   }
-  Floats productShares(const kernels::Table& table, const Floats& u) const
+  Floats productShares(const kernels::Table& table, const Floats& u, bool mass = true) const
   {
     return shares<float>(
-        1, [&](int begin, int end, float* to) { table.single_product(elements(), begin, end, u.data(), to); });
+        1, [&](int begin, int end, float* to) { table.single_product(elements(mass), begin, end, u.data(), to); });
+  }
+  /** A number a node, up to whole groups. */
+  Floats masses() const
+  {
+    Floats result(model.num_nodes + kernels::NODE_GROUP);
+    for (int i = 0; i < model.num_nodes; ++i) result[i] = static_cast<float>(1 + i % 7);
+    return result;
+  }
+  /** r - mass d */
+  NodalField without(const NodalField& r, const Floats& mass, const NodalField& d) const
+  {
+    NodalField result = r;
+    for (int i = 0; i < model.num_nodes; ++i) result[i] -= mass[i] * d[i];
+    return result;
   }
   /** Runs loop(begin, end) on the nodes, in two ranges as chunks are. */
   template <class Loop>
@@ -310,11 +339,12 @@ INSTANTIATE_TEST_SUITE_P(Elements, SingleKernels,
 
 TEST_P(SingleKernels, ProductIsThatOfDoubles)
 {
-  const NodalField u = random(1), p = random(2), expected = product(u);
-  for (const kernels::Table* table : tables())
+  const NodalField u = random(1), p = random(2);
+  for (const auto& [table, mass] : tablesAndMasses())
   {
-    SCOPED_TRACE(table->name);
-    const Floats all_shares = productShares(*table, floats(u));
+    SCOPED_TRACE(table->name + std::string(mass ? ", mass" : ""));
+    const NodalField expected = product(u, mass);
+    const Floats all_shares = productShares(*table, floats(u), mass);
     expectFourthNumbersZero(all_shares);
     Floats q = unknown();
     const Floats with = floats(p);
@@ -336,13 +366,14 @@ TEST_P(SingleKernels, ProlongedProductIsThatOfWhatLinearElementsSayOfEdges)
     prolonged[i] = (corners[model.node_of_corner[a]] + corners[model.node_of_corner[b]]) / 2;
     if (a != b) corners[i].setConstant(std::numeric_limits<double>::quiet_NaN());
   }
-  const NodalField expected = product(prolonged);
   const Floats from = floats(corners);
-  for (const kernels::Table* table : tables())
+  for (const auto& [table, mass] : tablesAndMasses())
   {
-    SCOPED_TRACE(table->name);
-    const Floats all_shares = shares<float>(
-        1, [&](int begin, int end, float* to) { table->prolonged_product(elements(), begin, end, from.data(), to); });
+    SCOPED_TRACE(table->name + std::string(mass ? ", mass" : ""));
+    const NodalField expected = product(prolonged, mass);
+    const Floats all_shares = shares<float>(1, [&, table = table, mass = mass](int begin, int end, float* to) {
+      table->prolonged_product(elements(mass), begin, end, from.data(), to);
+    });
     expectFourthNumbersZero(all_shares);
     Floats q = unknown();
     const Floats with = floats(prolonged);
@@ -358,6 +389,7 @@ TEST_P(SingleKernels, SubtractSharesAndChebyshevAreTheirFormulas)
   const NodalField u = random(1), r = random(4), d = random(5), z = random(6);
   NodalField residual(model.num_nodes), direction(model.num_nodes), solution(model.num_nodes);
   residual.matrix() = r.matrix() - product(u).matrix();
+  const Floats mass = masses();
   const Blocks inverse = blocks();
   constexpr float KEEP = 0.375f, GAIN = 1.25f;
   for (const kernels::Table* table : tables())
@@ -377,11 +409,11 @@ TEST_P(SingleKernels, SubtractSharesAndChebyshevAreTheirFormulas)
       solution.matrix() = z.matrix() + direction.matrix();
       Floats own_r = floats(r), own_d = keep == 0 ? unknown() : floats(d), own_z = floats(z);
       overNodes([&](int begin, int end) {
-        table->single_chebyshev(lists, begin, end, keep, GAIN, all_shares.data(), inverse.floats.data(), own_r.data(),
-                                own_d.data(), own_z.data());
+        table->single_chebyshev(lists, begin, end, keep, GAIN, all_shares.data(), inverse.floats.data(), mass.data(),
+                                own_r.data(), own_d.data(), own_z.data());
         return 0;
       });
-      expectNear(own_r, residual);
+      expectNear(own_r, without(residual, mass, direction));
       expectNear(own_d, direction);
       expectNear(own_z, solution);
     }
@@ -391,6 +423,7 @@ TEST_P(SingleKernels, SubtractSharesAndChebyshevAreTheirFormulas)
 TEST_P(SingleKernels, VectorOperationsAreTheirFormulas)
 {
   const NodalField x0 = random(7), p = random(8), q = random(9), r = random(10);
+  const Floats mass = masses();
   const Blocks inverse = blocks();
   constexpr float LENGTH = 0.625f, GAIN = 1.25f, KEEP = 0.375f;
   NodalField solution(model.num_nodes), residual(model.num_nodes), first(model.num_nodes), search(model.num_nodes);
@@ -406,11 +439,11 @@ TEST_P(SingleKernels, VectorOperationsAreTheirFormulas)
     Floats own_x = floats(x0), own_r = floats(r), own_s = unknown(), own_d = unknown(), own_z = unknown();
     const double norm2 = overNodes([&](int begin, int end) {
       return table->single_advance(begin, end, LENGTH, GAIN, single_p.data(), single_q.data(), inverse.floats.data(),
-                                   own_x.data(), own_r.data(), own_s.data(), own_d.data(), own_z.data());
+                                   mass.data(), own_x.data(), own_r.data(), own_s.data(), own_d.data(), own_z.data());
     });
     expectNear(own_x, solution);
     expectNear(own_r, residual);
-    expectNear(own_s, residual);
+    expectNear(own_s, without(residual, mass, first));
     expectNear(own_d, first);
     expectNear(own_z, first);
     EXPECT_NEAR(norm2, dot(residual, preconditioned), SINGLE * size(residual, preconditioned));
