@@ -130,6 +130,26 @@ TEST_P(Multigrid, SolvesTheSameInFarFewerIterations)
   }
 }
 
+TEST_P(Multigrid, TakesFewerIterationsForShorterSteps)
+{
+  // From a system of stiffness to one of mass, which the smoother lumps as long as it is small.
+  const NodalField b = test::randomField(model.num_nodes, 3);
+  NodalField u(model.num_nodes);
+  int before = 100;
+  for (double beta = 4e-4; beta > 1e-9; beta /= 2)
+  {
+    const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, beta);
+    ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
+    ASSERT_TRUE(multigrid.prepare(model, rotations, held, 1, beta, solver.inverse()));
+    u.setZero();
+    const SolveReport report = solver.solve(system, partition, b, u, 1e-6, 1000, &multigrid);
+    EXPECT_TRUE(report.converged);
+    EXPECT_LE(report.iterations, 1.3 * before) << beta;
+    before = report.iterations;
+  }
+  EXPECT_LE(before, 12);
+}
+
 TEST_P(Multigrid, SolvesAsWellWhateverTheUnits)
 {
   const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
