@@ -34,7 +34,7 @@ constexpr int NODE_GROUP = 4;
 struct NodeShares
 {
   const int* begin;  // of each group of nodes, then an end: steps in `slots`
-  const int* slots;  // [step][NODE_GROUP]: LANES * row + slotOf(lane); 0, a row of zeros, where another node has more
+  const int* slots;  // [step][NODE_GROUP]: 4 (LANES row + slotOf(lane)); 0, of zeros, where another node has more
 };
 /** Doubles a node of a diagonal block: xx, yy, zz, 0, xy, xz, yz, 0. */
 constexpr int DIAGONAL_STRIDE = 8;

@@ -389,7 +389,7 @@ ALWAYS_INLINE void forEachSum(const NodeShares& lists, int begin, int end, const
     for (const int* slot = lists.slots + NODE_GROUP * static_cast<long>(lists.begin[i / NODE_GROUP]); slot < last;
          slot += NODE_GROUP)
     {
-      for (int k = 0; k < NODE_GROUP; ++k) sum[k] += loadNode(shares, slot[k]);
+      for (int k = 0; k < NODE_GROUP; ++k) sum[k] += *reinterpret_cast<const N*>(shares + slot[k]);
     }
     f(i, sum);
   }
@@ -413,8 +413,8 @@ void sumDiagonals(const NodeShares& lists, int begin, int end, const double* sha
       for (int k = 0; k < NODE_GROUP; ++k)
       {
         // A node has two rows of shares, one after the other.
-        const int slot = lists.slots[NODE_GROUP * step + k], row = slot / LANES;
-        const double* from = shares + 2 * SHARES * row + 4L * (slot % LANES);
+        const long slot = lists.slots[NODE_GROUP * step + k];
+        const double* from = shares + 2 * slot - slot % SHARES;
         sum[k][0] += *reinterpret_cast<const Node*>(from);
         sum[k][1] += *reinterpret_cast<const Node*>(from + SHARES);
       }

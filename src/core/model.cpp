@@ -200,7 +200,7 @@ void listShares(Model& model)
     for (int k = 0; k < model.nodes_per_tet; ++k)
     {
       const int row = kernels::ZERO_ROWS + t / LANES * model.nodes_per_tet + k;
-      of_node[model.nodesOf(t)[k]].push_back(LANES * row + kernels::slotOf(t % LANES));
+      of_node[model.nodesOf(t)[k]].push_back(4 * (LANES * row + kernels::slotOf(t % LANES)));
     }
   }
   model.share_begin.push_back(0);
