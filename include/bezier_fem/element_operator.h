@@ -21,6 +21,10 @@ namespace bezier_fem
 void elasticForce(const Model& model, const Partition& partition, const Rotations& rotations, const NodalField& x,
                   NodalField& out);
 
+/** f_el(x) . d, J if d is in m: the same for any number of threads. */
+double elasticWork(const Model& model, const Partition& partition, const Rotations& rotations, const NodalField& x,
+                   const NodalField& d);
+
 /** out = (alpha M + beta K') u. */
 void systemProduct(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
                    double beta, const NodalField& u, NodalField& out);

@@ -204,7 +204,11 @@ struct Table
   void (*add_force)(const Elements& elements, int begin, int end, const double* rotated, const double* x,
                     double* shares);
 
-  /** The same of the 3x3 diagonal blocks of alpha M + beta K', two rows a node: xx, yy, zz and xy, xz, yz. */
+  /** sums[block] = that force times d, for each of the blocks. */
+  void (*force_work)(const Elements& elements, int begin, int end, const double* rotated, const double* x,
+                     const double* d, double* sums);
+
+  /** Shares of the 3x3 diagonal blocks of alpha M + beta K', two rows a node: xx, yy, zz and xy, xz, yz. */
   void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                        double* shares);
 

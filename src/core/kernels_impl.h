@@ -15,7 +15,23 @@ namespace
 
 #include "kernels_element_impl.h"
 
-/** Gathers an element's nodes, makes `out` from `in`, and stores it. */
+/** Gathers the nodes of a part of a block's elements, makes `out` from `in`, and hands it to take(). */
+template <int NODES, bool MEAN, class Element, class Take>
+ALWAYS_INLINE void forElements(const Elements& elements, int block, int part, const double* rotated, const double* x,
+                               const Element& element, const Take& take)
+{
+  const int* nodes = elements.gather + static_cast<long>(block) * NODES * LANES + part;
+  const double* c = elements.coefficients + 3L * block * LANES + part;
+  Vec mean = Vec{};
+  if constexpr (MEAN) mean = load(elements.mean + static_cast<long>(block) * LANES + part);
+  Vec3 in[NODES], out[NODES];
+  for (int k = 0; k < NODES; ++k) in[k] = gather(x, nodes + static_cast<long>(k) * LANES);
+  element(rotated + static_cast<long>(block) * elements.points * 9 * LANES + part, in, load(c), load(c + LANES),
+          load(c + 2L * LANES), mean, out);
+  take(nodes, out);
+}
+
+/** The same for whole blocks; stores the shares. */
 template <int NODES, bool MEAN, class Element>
 inline void forEachElement(const Elements& elements, int begin, int end, const double* rotated, const double* x,
                            double* shares, const Element& element)
@@ -24,15 +40,9 @@ inline void forEachElement(const Elements& elements, int begin, int end, const d
   {
     for (int part = 0; part < LANES; part += WIDTH)
     {
-      const long at = static_cast<long>(block) * NODES * LANES + part;
-      const double* c = elements.coefficients + 3L * block * LANES + part;
-      Vec mean = Vec{};
-      if constexpr (MEAN) mean = load(elements.mean + static_cast<long>(block) * LANES + part);
-      Vec3 in[NODES], out[NODES];
-      for (int k = 0; k < NODES; ++k) in[k] = gather(x, elements.gather + at + static_cast<long>(k) * LANES);
-      element(rotated + static_cast<long>(block) * elements.points * 9 * LANES + part, in, load(c), load(c + LANES),
-              load(c + 2L * LANES), mean, out);
-      for (int k = 0; k < NODES; ++k) storeShares(shares + SHARES * block * NODES + SHARES * k, part, out[k]);
+      forElements<NODES, MEAN>(elements, block, part, rotated, x, element, [&](const int* /*nodes*/, const Vec3* out) {
+        for (int k = 0; k < NODES; ++k) storeShares(shares + SHARES * block * NODES + SHARES * k, part, out[k]);
+      });
     }
   }
 }
@@ -54,6 +64,33 @@ void addForce(const Elements& elements, int begin, int end, const double* rotate
   forEachElement<NODES, MEAN>(elements, begin, end, rotated, x, shares,
                               [](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean,
                                  Vec3* out) { elasticForce<NODES, POINTS, MEAN>(g, in, 1, lambda, mu, mean, out); });
+}
+
+template <int NODES, int POINTS, bool MEAN>
+void forceWork(const Elements& elements, int begin, int end, const double* rotated, const double* x, const double* d,
+               double* sums)
+{
+  for (int block = begin; block < end; ++block)
+  {
+    Vec work = {};
+    for (int part = 0; part < LANES; part += WIDTH)
+    {
+      forElements<NODES, MEAN>(
+          elements, block, part, rotated, x,
+          [](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean, Vec3* out) {
+            elasticForce<NODES, POINTS, MEAN>(g, in, 1, lambda, mu, mean, out);
+          },
+          [&](const int* nodes, const Vec3* force) {
+            for (int k = 0; k < NODES; ++k)
+            {
+              const Vec3 way = gather(d, nodes + static_cast<long>(k) * LANES);
+              work += force[k].x * way.x + force[k].y * way.y + force[k].z * way.z;
+            }
+          });
+    }
+    sums[block] = 0;
+    for (int lane = 0; lane < WIDTH; ++lane) sums[block] += work[lane];
+  }
 }
 
 /** H_cd + H_dc over V, with H_cd = lambda c d^T + mu d c^T + mu (c.d) 1; H_cc + H_cc = 2 H_cc for c = d. */
@@ -494,6 +531,15 @@ void addForceAny(const Elements& elements, int begin, int end, const double* rot
   add(elements, begin, end, rotated, x, shares);
 }
 
+void forceWorkAny(const Elements& elements, int begin, int end, const double* rotated, const double* x, const double* d,
+                  double* sums)
+{
+  const auto one = elements.mean ? forceWork<10, 1, true> : forceWork<10, 1, false>;
+  const auto four = elements.mean ? forceWork<10, 4, true> : forceWork<10, 4, false>;
+  const auto work = elements.nodes_per_tet == 4 ? forceWork<4, 1, false> : elements.points == 1 ? one : four;
+  work(elements, begin, end, rotated, x, d, sums);
+}
+
 void addDiagonalAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                     double* shares)
 {
@@ -515,6 +561,7 @@ const Table TABLE = {
     updateRotationsAny,
     addProductAny,
     addForceAny,
+    forceWorkAny,
     addDiagonalAny,
     elementMatricesAny,
     warpedMatricesAny,

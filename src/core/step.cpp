@@ -135,8 +135,7 @@ private:
     Stopwatch watch;
     keepMomentum();
     const auto along = [&](const Rotations& rotations) {
-      elasticForce(model_, w_.partition, rotations, state_.x, w_.force);
-      return h * w_.force.matrix().cwiseProduct(w_.change.matrix()).sum();
+      return h * elasticWork(model_, w_.partition, rotations, state_.x, w_.change);
     };
     // With the old rotations the slope along the change goes from -start at length 0 to 0 at length 1.
     const double start = w_.rhs.matrix().cwiseProduct(w_.change.matrix()).sum();
@@ -161,6 +160,7 @@ private:
   void keepMomentum()
   {
     const int held = std::accumulate(supports_.held.begin(), supports_.held.end(), 0, std::bit_or<>());
+    if (held == 7) return;
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
     for (int i = 0; i < model_.num_nodes; ++i) mean += model_.node_mass[i] * w_.change[i];
     mean /= std::accumulate(model_.node_mass.begin(), model_.node_mass.end(), 0.0);

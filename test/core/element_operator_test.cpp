@@ -4,6 +4,7 @@
 
 #include <Eigen/Dense>
 #include <Eigen/Eigenvalues>
+#include <numeric>
 
 #include "bezier_fem/measures.h"
 #include "bezier_fem/stable_step.h"
@@ -215,10 +216,17 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
   const NodalField u = test::randomField(model.num_nodes, 8);
   NodalField expected(model.num_nodes);
   systemProduct(model, one, bent.rotations, 2, 0.3, u, expected);
+  NodalField force_reference(model.num_nodes);
+  elasticForce(model, one, bent.rotations, bent.x, force_reference);
+  const double work = elasticWork(model, one, bent.rotations, bent.x, u);
+  const double scale = force_reference.matrix().norm() * u.matrix().norm();
+  EXPECT_NEAR(work, force_reference.matrix().cwiseProduct(u.matrix()).sum(), 1e-14 * scale);
+  EXPECT_GT(std::abs(work), 1e-4 * scale);
   for (const int threads : {2, 3, 7})
   {
     const Partition partition(model, threads);
     ASSERT_EQ(partition.threads(), threads);
+    EXPECT_EQ(elasticWork(model, partition, bent.rotations, bent.x, u), work);
     NodalField product(model.num_nodes), again(model.num_nodes);
     systemProduct(model, partition, bent.rotations, 2, 0.3, u, product);
     const auto difference = product.matrix() - expected.matrix();
@@ -235,7 +243,7 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
     const kernels::Elements elements{model.nodes_per_tet, bent.rotations.points, model.block_nodes.data(),
                                      model.block_coefficients.data(),
                                      model.block_mean.empty() ? nullptr : model.block_mean.data()};
-    NodalField product(model.num_nodes), force(model.num_nodes), force_reference(model.num_nodes);
+    NodalField product(model.num_nodes), force(model.num_nodes);
     const kernels::NodeShares lists{model.share_begin.data(), model.share_slots.data()};
     AlignedVector<double> shares(2 * kernels::SHARES * (kernels::ZERO_ROWS + model.nodes_per_tet * model.num_blocks));
     table->add_product(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2, 0.3, u.data(),
@@ -245,8 +253,11 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
     table->add_force(elements, 0, model.num_blocks, bent.rotations.gradients.data(), bent.x.data(),
                      shares.data() + kernels::ZERO_ROWS * kernels::SHARES);
     table->sum_shares(lists, 0, model.num_nodes, shares.data(), force.data());
-    elasticForce(model, one, bent.rotations, bent.x, force_reference);
     EXPECT_LT((force.matrix() - force_reference.matrix()).norm(), 1e-13 * force_reference.matrix().norm()) << name;
+    AlignedVector<double> sums(model.num_blocks);
+    table->force_work(elements, 0, model.num_blocks, bent.rotations.gradients.data(), bent.x.data(), u.data(),
+                      sums.data());
+    EXPECT_NEAR(std::accumulate(sums.begin(), sums.end(), 0.0), work, 1e-14 * scale) << name;
 
     AlignedVector<double> diagonal(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes, 0.0);
     AlignedVector<double> diagonal_reference(diagonal.size());
