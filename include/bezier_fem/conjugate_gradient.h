@@ -37,9 +37,9 @@ public:
                double load_floor);
 
   /**
-   * u = the combination of past solutions, of which the first is the last one, that is nearest to A u = b in the norm
-   * of A; never farther than zero (compare Fischer 1998, "Projection techniques for iterative solution of Ax = b with
-   * successive right-hand sides"). To be followed by solve() from that u.
+   * u = the combination of the last solution and the extrapolation from the past ones, the last one first, that is
+   * nearest to A u = b in the norm of A; never farther than zero (compare Fischer 1998, "Projection techniques for
+   * iterative solution of Ax = b with successive right-hand sides"). To be followed by solve() from that u.
    * @param system  that of the last prepare()
    * @param count   of the past solutions to use
    */
@@ -70,7 +70,7 @@ private:
   double floor_ = 0;
   AlignedVector<double> diagonal_, inverse_;
   NodalField r_, z_, p_, q_;
-  std::array<NodalField, 3> basis_, images_;  // of start()
+  std::array<NodalField, 2> basis_, images_;  // of start()
   bool product_known_ = false;                // q_ is A u of what start() has left
   std::vector<double> partial_;               // a number a chunk of nodes
 

@@ -105,28 +105,30 @@ void ConjugateGradient::start(const SystemOperator& system, const Partition& par
   u.setZero();
   product_known_ = false;
   if (count == 0) return;
-  // Differences, which are not as nearly parallel as the solutions.
-  Eigen::Matrix3d gram = Eigen::Matrix3d::Identity();
-  Eigen::Vector3d work = Eigen::Vector3d::Zero();
+  // The extrapolation from all of them and the last one: a third direction saves less than its product costs.
+  const int directions = std::min(count, 2);
+  basis_[1].matrix() = past[0].matrix();
+  if (count == 1) basis_[0].matrix() = past[0].matrix();
+  if (count == 2) basis_[0].matrix() = 2 * past[0].matrix() - past[1].matrix();
+  if (count == 3) basis_[0].matrix() = 3 * (past[0].matrix() - past[1].matrix()) + past[2].matrix();
+  Eigen::Matrix2d gram = Eigen::Matrix2d::Identity();
+  Eigen::Vector2d work = Eigen::Vector2d::Zero();
   const auto dot = [&](const NodalField& a, const NodalField& c) {
     return sum(partition, [&](int begin, int end) { return kernels::table().dot(begin, end, a.data(), c.data()); });
   };
-  for (int k = 0; k < count; ++k)
+  for (int k = 0; k < directions; ++k)
   {
-    basis_[k].matrix() = past[0].matrix();
-    if (k == 1) basis_[k].matrix() -= past[1].matrix();
-    if (k == 2) basis_[k].matrix() += past[2].matrix() - 2 * past[1].matrix();
     system.product(basis_[k], images_[k]);
     work[k] = dot(basis_[k], b);
     for (int j = 0; j <= k; ++j) gram(j, k) = gram(k, j) = dot(basis_[j], images_[k]);
   }
-  const Eigen::Vector3d scale = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
-  const Eigen::LLT<Eigen::Matrix3d> llt(scale.asDiagonal() * gram * scale.asDiagonal());
+  const Eigen::Vector2d scale = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
+  const Eigen::LLT<Eigen::Matrix2d> llt(scale.asDiagonal() * gram * scale.asDiagonal());
   if (llt.info() != Eigen::Success) return;  // no motion, or none that differs
-  const Eigen::Vector3d weights = scale.cwiseProduct(llt.solve(scale.cwiseProduct(work)));
+  const Eigen::Vector2d weights = scale.cwiseProduct(llt.solve(scale.cwiseProduct(work)));
   if (!weights.allFinite()) return;
   q_.setZero();
-  for (int k = 0; k < count; ++k)
+  for (int k = 0; k < directions; ++k)
   {
     u.matrix() += weights[k] * basis_[k].matrix();
     q_.matrix() += weights[k] * images_[k].matrix();
