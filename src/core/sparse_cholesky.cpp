@@ -314,12 +314,24 @@ void SparseCholesky::invertDiagonal()
 
 void SparseCholesky::solve(const float* b, float* x)
 {
+  solve(
+      [&](int begin, int end, float* to) {
+        for (int k = begin; k < end; ++k, to += 3) std::copy_n(b + 4L * order_[k], 3, to);
+      },
+      [&](int begin, int end, const float* from) {
+        for (int k = begin; k < end; ++k, from += 3)
+        {
+          std::copy_n(from, 3, x + 4L * order_[k]);
+          x[4L * order_[k] + 3] = 0;
+        }
+      });
+}
+
+void SparseCholesky::solve(const Read& read, const Write& write)
+{
   const kernels::Table& kernel = kernels::table();
   const int n = static_cast<int>(order_.size());
-  for (int k = 0; k < n; ++k)
-  {
-    for (int axis = 0; axis < 3; ++axis) work_[3L * k + axis] = b[4L * order_[k] + axis];
-  }
+  read(0, n, work_.data());
   for (const Supernode& node : supernodes_)
   {
     const int width = node.end - node.begin;
@@ -349,11 +361,7 @@ void SparseCholesky::solve(const float* b, float* x)
     std::fill(gathered_.begin() + 3L * height, gathered_.begin() + stride(height), 0.0f);
     kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered_.data(), own);
   }
-  for (int k = 0; k < n; ++k)
-  {
-    for (int axis = 0; axis < 3; ++axis) x[4L * order_[k] + axis] = work_[3L * k + axis];
-    x[4L * order_[k] + 3] = 0;
-  }
+  write(0, n, work_.data());
 }
 
 }  // namespace bezier_fem

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <vector>
 
 #include "bezier_fem/assembled_matrix.h"
@@ -27,6 +28,12 @@ public:
 
   /** x = A^-1 b; 4 floats a row: x, y, z and one that is not looked at. */
   void solve(const float* b, float* x);
+  /** Of rows [begin, end) in the order of elimination, order()[k] of the matrix: 3 floats each. */
+  using Read = std::function<void(int begin, int end, float* b)>;
+  using Write = std::function<void(int begin, int end, const float* x)>;
+  /** The same of sides of any form: `read` fills in b, `write` is given x. */
+  void solve(const Read& read, const Write& write);
+  const std::vector<int>& order() const { return order_; }
 
   /** Numbers in the factor, each of which a solve reads twice. */
   std::size_t size() const { return values_.size(); }

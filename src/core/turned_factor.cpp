@@ -3,12 +3,32 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <cstring>
 #include <limits>
 
 namespace bezier_fem
 {
 namespace
 {
+/** Four floats in a register, by GCC's and Clang's vector extensions. */
+using Node = float __attribute__((vector_size(16)));
+using Mask = std::int32_t __attribute__((vector_size(16)));
+
+/** Floats of a node's G and G^T. */
+constexpr std::ptrdiff_t FRAME = 24;
+
+const Node& nodeAt(const float* p)
+{
+  return *reinterpret_cast<const Node*>(p);
+}
+
+/** Columns times v. */
+Node times(const float* columns, float x, float y, float z)
+{
+  return x * nodeAt(columns) + y * nodeAt(columns + 4) + z * nodeAt(columns + 8);
+}
+
 /** Rows and columns of held components become those of the unit matrix. */
 void hold(const HeldAxes& held, AssembledMatrix& matrix)
 {
@@ -44,7 +64,8 @@ TurnedFactor::TurnedFactor(const Model& model)
       system_(model, partition_),
       cholesky_(system_.matrix(), model.rest),
       factored_frames_(9 * static_cast<std::size_t>(model.num_nodes)),
-      frames_(factored_frames_.size()),
+      present_frames_(factored_frames_.size()),
+      frames_(FRAME * model.num_nodes),
       right_(4 * static_cast<std::size_t>(model.num_nodes)),
       left_(right_.size())
 {
@@ -118,40 +139,53 @@ void TurnedFactor::turn(const Rotations& rotations)
 {
   if (rotations.matrices == turned_to_) return;  // linear elasticity's never turn
   turned_to_ = rotations.matrices;
-  meanRotations(rotations, frames_);
-  for (std::size_t i = 0; i < frames_.size(); i += 9)
-  {
-    Eigen::Map<Eigen::Matrix3f> frame(frames_.data() + i);
-    frame = (frame * Eigen::Map<const Eigen::Matrix3f>(factored_frames_.data() + i).transpose()).eval();
-  }
+  meanRotations(rotations, present_frames_);
+  takeFrames(present_frames_);
 }
 
-void TurnedFactor::clearHeld(float* field) const
+void TurnedFactor::takeFrames(const AlignedVector<float>& present)
 {
-  for (std::size_t i = 0; i < held_.size(); ++i)
+  const std::vector<int>& order = cholesky_.order();
+  for (std::size_t k = 0; k < order.size(); ++k)
   {
-    for (int axis = 0; held_[i] != 0 && axis < 3; ++axis)
+    const int i = order[k];
+    Eigen::Matrix3f G = Eigen::Map<const Eigen::Matrix3f>(present.data() + 9L * i) *
+                        Eigen::Map<const Eigen::Matrix3f>(factored_frames_.data() + 9L * i).transpose();
+    for (int axis = 0; axis < 3; ++axis)
     {
-      if (held_[i] >> axis & 1) field[4 * i + axis] = 0;
+      if (held_[i] >> axis & 1) G.row(axis).setZero();
     }
+    Eigen::Map<Eigen::Matrix<float, 4, 6>> frame(frames_.data() + FRAME * static_cast<std::ptrdiff_t>(k));
+    frame.setZero();
+    frame.topLeftCorner<3, 3>() = G;
+    frame.topRightCorner<3, 3>() = G.transpose();
   }
 }
 
 const float* TurnedFactor::solve()
 {
-  clearHeld(right_.data());
-  for (std::size_t i = 0; i < held_.size(); ++i)
-  {
-    Eigen::Map<Eigen::Vector3f> v(right_.data() + 4 * i);
-    v = (Eigen::Map<const Eigen::Matrix3f>(frames_.data() + 9 * i).transpose() * v).eval();
-  }
-  cholesky_.solve(right_.data(), left_.data());
-  for (std::size_t i = 0; i < held_.size(); ++i)
-  {
-    Eigen::Map<Eigen::Vector3f> v(left_.data() + 4 * i);
-    v = (Eigen::Map<const Eigen::Matrix3f>(frames_.data() + 9 * i) * v).eval();
-  }
-  clearHeld(left_.data());
+  // What is held may be no number there, which a zero in G does not stop.
+  alignas(16) static constexpr std::int32_t FREE[8][4] = {{-1, -1, -1}, {0, -1, -1}, {-1, 0, -1}, {0, 0, -1},
+                                                          {-1, -1, 0},  {0, -1, 0},  {-1, 0, 0},  {}};
+  const int* order = cholesky_.order().data();
+  cholesky_.solve(
+      [&](int begin, int end, float* b) {
+        const float* frame = frames_.data() + FRAME * begin;
+        for (int k = begin; k < end; ++k, frame += FRAME, b += 3)
+        {
+          const Mask free = *reinterpret_cast<const Mask*>(FREE[held_[order[k]]]);
+          const Node v = reinterpret_cast<Node>(reinterpret_cast<Mask>(nodeAt(right_.data() + 4L * order[k])) & free);
+          const Node turned = times(frame + FRAME / 2, v[0], v[1], v[2]);
+          std::memcpy(b, &turned, 3 * sizeof(float));
+        }
+      },
+      [&](int begin, int end, const float* x) {
+        const float* frame = frames_.data() + FRAME * begin;
+        for (int k = begin; k < end; ++k, frame += FRAME, x += 3)
+        {
+          *reinterpret_cast<Node*>(left_.data() + 4L * order[k]) = times(frame, x[0], x[1], x[2]);
+        }
+      });
   return left_.data();
 }
 

@@ -57,7 +57,7 @@ public:
 
 private:
   void meanRotations(const Rotations& rotations, AlignedVector<float>& frames) const;
-  void clearHeld(float* field) const;
+  void takeFrames(const AlignedVector<float>& present);
 
   const Model& model_;
   Partition partition_;
@@ -66,10 +66,12 @@ private:
   bool valid_ = false;
   double alpha_ = 0, beta_ = 0;
   HeldAxes held_;
-  int fewest_ = -1, excess_ = 0;     // iterations: with a new factor, and above that since
-  AlignedVector<double> turned_to_;  // Rotations::matrices
-  AlignedVector<float> factored_frames_;
-  AlignedVector<float> frames_;        // 9 a node, by columns
+  int fewest_ = -1, excess_ = 0;                           // iterations: with a new factor, and above that since
+  AlignedVector<double> turned_to_;                        // Rotations::matrices
+  AlignedVector<float> factored_frames_, present_frames_;  // 9 a node, by columns
+  // Of the nodes in the order of elimination, 4 floats a column: G and G^T that turn out of and into the frames, rows
+  // of G zero where held.
+  AlignedVector<float> frames_;
   AlignedVector<float> right_, left_;  // 4 a node
 };
 
