@@ -2,7 +2,7 @@
 
 namespace bezier_fem
 {
-DirectPreconditioner::DirectPreconditioner(const Model& model) : factor_(model)
+DirectPreconditioner::DirectPreconditioner(const Model& model, int threads) : factor_(model, threads)
 {
   // Counted, not timed, so that a run repeats to the bit: a factor multiplies about as fast as a solve reads numbers
   // from memory, each of them twice.

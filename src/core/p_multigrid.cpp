@@ -288,7 +288,7 @@ PMultigrid::PMultigrid(const Model& model, const Partition& partition)
     : partition_(partition),
       linear_(linearModel(model, node_of_vertex_, vertices_of_)),
       linear_rotations_(restRotations(*linear_)),
-      factor_(std::make_unique<TurnedFactor>(*linear_)),
+      factor_(std::make_unique<TurnedFactor>(*linear_, partition.threads())),
       held_vertices_(node_of_vertex_.size())
 {
   // In seconds on a processor of 2.6 GHz, so that the ratio is one of work and not of today's clock.

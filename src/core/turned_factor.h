@@ -17,7 +17,7 @@ class TurnedFactor
 {
 public:
   /** Keeps a reference to the model. */
-  explicit TurnedFactor(const Model& model);
+  TurnedFactor(const Model& model, int threads);
 
   /** Whether the last factor() was for these. */
   bool isOf(const HeldAxes& held, double alpha, double beta) const
@@ -56,8 +56,9 @@ public:
   const SparseCholesky& cholesky() const { return cholesky_; }
 
 private:
-  void meanRotations(const Rotations& rotations, AlignedVector<float>& frames) const;
-  void takeFrames(const AlignedVector<float>& present);
+  bool takeRotations(const Rotations& rotations);
+  template <class F>
+  void forEachNode(const F& f) const;
 
   const Model& model_;
   Partition partition_;
@@ -66,12 +67,13 @@ private:
   bool valid_ = false;
   double alpha_ = 0, beta_ = 0;
   HeldAxes held_;
-  int fewest_ = -1, excess_ = 0;                           // iterations: with a new factor, and above that since
-  AlignedVector<double> turned_to_;                        // Rotations::matrices
-  AlignedVector<float> factored_frames_, present_frames_;  // 9 a node, by columns
-  // Of the nodes in the order of elimination, 4 floats a column: G and G^T that turn out of and into the frames, rows
-  // of G zero where held.
-  AlignedVector<float> frames_;
+  int fewest_ = -1, excess_ = 0;    // iterations: with a new factor, and above that since
+  bool turned_ = false;             // to rotations_
+  AlignedVector<float> rotations_;  // of the elements, 4 floats a column, sums where an element has several
+  // Of the nodes in the order of elimination: their elements; and 4 floats a column, the frames when factored, and G
+  // and G^T that turn out of and into these, rows of G zero where held.
+  std::vector<int> elements_begin_, elements_;
+  AlignedVector<float> factored_frames_, frames_;
   AlignedVector<float> right_, left_;  // 4 a node
 };
 

@@ -210,7 +210,7 @@ TEST(LinearSolve, LinearElasticityFollowsWhateverChangesItsSystem)
 TEST(LinearSolve, AFactorIsRenewedWhenExcessIterationsHavePaidForIt)
 {
   const Model model = test::boxModel(test::irregularBox({1, 1, 2}, {0.4, 0.4, 1.0}), Element::QUADRATIC, STIFF);
-  TurnedFactor factor(model);
+  TurnedFactor factor(model, 1);
   const Rotations rest = restRotations(model);
   const HeldAxes held(model.num_nodes, 0);
   EXPECT_FALSE(factor.valid());
@@ -257,7 +257,7 @@ TEST(LinearSolve, AFactorTurnsWithTheBodyAndLeavesOutWhatIsHeld)
   {
     HeldAxes held(n, 0);
     for (int i = 0; foot && i < n; ++i) held[i] = model.rest[i].z() < 1e-9 ? i % 8 : 0;
-    TurnedFactor at_rest(model), anew(model);
+    TurnedFactor at_rest(model, 1), anew(model, 1);
     ASSERT_TRUE(at_rest.factor(rest, rest, held, 1, 4e-4));
     ASSERT_TRUE(anew.factor(turned, turned, held, 1, 4e-4));
     const auto solve = [&](TurnedFactor& factor, float in_held) {

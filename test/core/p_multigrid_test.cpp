@@ -173,7 +173,7 @@ TEST_P(Multigrid, FollowsANewMaterial)
 
 TEST_P(Multigrid, TheWholeSystemsFactorIsItsInverseAndServesTurnedOnes)
 {
-  DirectPreconditioner direct(model);
+  DirectPreconditioner direct(model, partition.threads());
   NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes), expected(model.num_nodes);
   const auto solve = [&](const Rotations& at, double alpha, double beta, Preconditioner* preconditioner) {
     const MatrixFreeSystem<Rotations> system(model, partition, at, alpha, beta);
@@ -214,7 +214,7 @@ TEST_P(Multigrid, AFactorIsOfAScrambledBodyToo)
   updateRotations(model, partition, x, before, rotations, turned);
   const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
   ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
-  DirectPreconditioner direct(model);
+  DirectPreconditioner direct(model, partition.threads());
   ASSERT_TRUE(direct.prepare(model, rotations, held, 1, 4e-4, solver.inverse()));
   NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes);
   const SolveReport report = solver.solve(system, partition, b, u, 1e-6, 1000, &direct);
