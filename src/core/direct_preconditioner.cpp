@@ -23,11 +23,15 @@ bool DirectPreconditioner::prepare(const Model& /*model*/, const Rotations& rota
 
 void DirectPreconditioner::apply(const NodalField& r, NodalField& z)
 {
+  const float* left = factor_.solve([&](const int* nodes, int count) {
+    for (int k = 0; k < count; ++k)
+    {
+      const std::ptrdiff_t i = 4L * nodes[k];
+      for (int axis = 0; axis < 3; ++axis) factor_.right()[i + axis] = static_cast<float>(r.data()[i + axis]);
+    }
+  });
   const Eigen::Index numbers = 4L * z.size();
-  Eigen::Map<Eigen::VectorXf>(factor_.right(), numbers) =
-      Eigen::Map<const Eigen::VectorXd>(r.data(), numbers).cast<float>();
-  Eigen::Map<Eigen::VectorXd>(z.data(), numbers) =
-      Eigen::Map<const Eigen::VectorXf>(factor_.solve(), numbers).cast<double>();
+  Eigen::Map<Eigen::VectorXd>(z.data(), numbers) = Eigen::Map<const Eigen::VectorXf>(left, numbers).cast<double>();
 }
 
 }  // namespace bezier_fem

@@ -366,17 +366,18 @@ void PMultigrid::cycle()
   using ConstNode = Eigen::Map<const Eigen::Vector4f, Eigen::Aligned16>;
   const float* residual = level.residual.data();
   // Regions hold edges where they hold both corners: so edges need no mask of their own.
-  const int vertices = static_cast<int>(node_of_vertex_.size());
-  const int pieces = partition_.pieces();
-  forEachPiece(partition_, [&](int piece) {
-    for (int k = vertices * piece / pieces; k < vertices * (piece + 1) / pieces; ++k)
+  const float* corners = factor_->solve([&](const int* vertices, int count) {
+    for (int k = 0; k < count; ++k)
     {
+      const int vertex = vertices[k];
       Eigen::Vector4f edges = Eigen::Vector4f::Zero();
-      for (int e = edges_begin_[k]; e < edges_begin_[k + 1]; ++e) edges += ConstNode(residual + 4L * edges_[e]);
-      Node(factor_->right() + 4L * k) = ConstNode(residual + 4L * node_of_vertex_[k]) + 0.5f * edges;
+      for (int e = edges_begin_[vertex]; e < edges_begin_[vertex + 1]; ++e)
+      {
+        edges += ConstNode(residual + 4L * edges_[e]);
+      }
+      Node(factor_->right() + 4L * vertex) = ConstNode(residual + 4L * node_of_vertex_[vertex]) + 0.5f * edges;
     }
   });
-  const float* corners = factor_->solve();
   forEachPiece(partition_, [&](int piece) {
     for (int i = partition_.nodeBegin(piece); i < partition_.nodeEnd(piece); ++i)
     {
@@ -393,8 +394,10 @@ void PMultigrid::apply(const NodalField& r, NodalField& z)
   const std::ptrdiff_t numbers = 4L * z.size();
   if (!quadratic_)
   {
-    std::copy_n(r.data(), numbers, factor_->right());
-    std::copy_n(factor_->solve(), numbers, z.data());
+    const auto fill = [&](const int* vertices, int count) {
+      for (int k = 0; k < count; ++k) std::copy_n(r.data() + 4L * vertices[k], 3, factor_->right() + 4L * vertices[k]);
+    };
+    std::copy_n(factor_->solve(fill), numbers, z.data());
     return;
   }
   const double scale = quadratic_->start(r);

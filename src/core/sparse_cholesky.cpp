@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "kernels.h"
+#include "parallel.h"
 
 namespace bezier_fem
 {
@@ -85,6 +86,81 @@ private:
   std::vector<int> side_;
   std::vector<int> order_;
 };
+
+/** Columns of like structure, and the rows below them. */
+struct Columns
+{
+  int begin, end;
+  std::vector<int> rows;
+  double zeros;
+  double size() const
+  {
+    const double w = end - begin;
+    return w * (w + 1) / 2 + w * static_cast<double>(rows.size());
+  }
+};
+
+/** How long work takes that so many threads do at the same time, each taking what is the most that is left. */
+double longest(std::vector<double> works, int threads)
+{
+  std::sort(works.rbegin(), works.rend());
+  std::vector<double> sums(threads);
+  for (const double work : works) *std::min_element(sums.begin(), sums.end()) += work;
+  return *std::max_element(sums.begin(), sums.end());
+}
+
+/**
+ * The roots of the subtrees to be solved at the same time, so that two threads and four have little to wait for; the
+ * heaviest first, none where it is not worth it.
+ * @param panels  in postorder, so that a subtree is so many up to its root
+ * @param counts  set to how many
+ */
+std::vector<int> partingRoots(const std::vector<Columns>& panels, std::vector<int>& counts)
+{
+  constexpr double WAKE = 3000;  // blocks that one thread multiplies by until the others are there, and back
+  constexpr int MOST_SPLITS = 24;
+  const int n = static_cast<int>(panels.size());
+  std::vector<int> panel_of;
+  for (int p = 0; p < n; ++p) panel_of.insert(panel_of.end(), panels[p].end - panels[p].begin, p);
+  std::vector<std::vector<int>> children(n);
+  std::vector<double> works(n);
+  std::vector<int> roots, best;
+  counts.assign(n, 1);
+  double parting = 0, all = 0;
+  for (int p = 0; p < n; ++p)
+  {
+    works[p] += panels[p].size();
+    all += panels[p].size();
+    if (panels[p].rows.empty())
+    {
+      roots.push_back(p);
+      continue;
+    }
+    const int parent = panel_of[panels[p].rows.front()];
+    works[parent] += works[p];
+    counts[parent] += counts[p];
+    children[parent].push_back(p);
+  }
+  double least = 2 * all;
+  for (int split = 0; split < MOST_SPLITS && !roots.empty(); ++split)
+  {
+    std::sort(roots.begin(), roots.end(),
+              [&](int a, int b) { return std::pair(works[b], a) < std::pair(works[a], b); });
+    std::vector<double> parts;
+    for (const int root : roots) parts.push_back(works[root]);
+    const double time = 2 * (parting + WAKE) + longest(parts, 2) + longest(parts, 4);
+    if (time < least)
+    {
+      least = time;
+      best = roots;
+    }
+    const int heaviest = roots.front();
+    parting += panels[heaviest].size();
+    roots.erase(roots.begin());
+    roots.insert(roots.end(), children[heaviest].begin(), children[heaviest].end());
+  }
+  return best;
+}
 }  // namespace
 
 SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField& positions)
@@ -159,17 +235,6 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   }
 
   // Supernodes: columns join the next where that adds few zeros.
-  struct Columns
-  {
-    int begin, end;
-    std::vector<int> rows;
-    double zeros;
-    double size() const
-    {
-      const double w = end - begin;
-      return w * (w + 1) / 2 + w * static_cast<double>(rows.size());
-    }
-  };
   constexpr int MOST_COLUMNS = 24;
   std::vector<Columns> panels;
   for (int j = 0; j < n; ++j)
@@ -189,6 +254,49 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
       panels.back() = std::move(merged);
     }
   }
+
+  // Subtrees first, then the supernodes that part them.
+  std::vector<int> counts;
+  std::vector<Columns> sequence;
+  moved.clear();
+  const auto put = [&](Columns& panel) {
+    const int begin = static_cast<int>(moved.size());
+    for (int j = panel.begin; j < panel.end; ++j)
+    {
+      renumber[j] = static_cast<int>(moved.size());
+      moved.push_back(order_[j]);
+    }
+    sequence.push_back({begin, static_cast<int>(moved.size()), std::move(panel.rows), 0});
+    panel.begin = panel.end;
+  };
+  for (const int root : partingRoots(panels, counts))
+  {
+    Piece piece{static_cast<int>(moved.size()), 0, static_cast<int>(sequence.size()), 0};
+    for (int p = root + 1 - counts[root]; p <= root; ++p) put(panels[p]);
+    piece.columns_end = static_cast<int>(moved.size());
+    piece.supernodes_end = static_cast<int>(sequence.size());
+    pieces_.push_back(piece);
+  }
+  parting_column_ = static_cast<int>(moved.size());
+  parting_supernode_ = static_cast<int>(sequence.size());
+  for (Columns& panel : panels)
+  {
+    if (panel.begin < panel.end) put(panel);
+  }
+  panels = std::move(sequence);
+  // Ancestors stay in their order, so that rows do.
+  for (Columns& panel : panels)
+  {
+    for (int& row : panel.rows) row = renumber[row];
+  }
+  order_ = std::move(moved);
+  place();
+  // Threads take pieces from either end: the heaviest first, the light one in the middle.
+  const int subtrees = static_cast<int>(pieces_.size());
+  const std::vector<Piece> by_weight = std::move(pieces_);
+  pieces_.assign(subtrees + 1, {parting_column_, n, parting_supernode_, parting_supernode_});
+  for (int k = 0; k < subtrees; ++k) pieces_[k % 2 == 0 ? k / 2 : subtrees - k / 2] = by_weight[k];
+
   std::size_t values = 0, most_update = 0;
   int most_rows = 0, widest = 0;
   for (const Columns& p : panels) widest = std::max(widest, p.end - p.begin);
@@ -208,9 +316,23 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   local_.resize(n);
   for (std::vector<int>* list : {&head_, &next_, &done_}) list->resize(supernodes_.size());
   values_.resize(values);
-  work_.resize(3 * static_cast<std::size_t>(n) + 16);
-  gathered_.resize(stride(most_rows));
-  product_.resize(std::max(stride(most_rows), 3 * widest));
+  product_size_ = stride(std::max(most_rows, widest));
+  products_.resize(product_size_ * pieces_.size());
+  sums_begin_ = stride(n);
+  sums_size_ = stride(n - parting_column_);
+  work_.resize(sums_begin_ + sums_size_ * pieces_.size());
+  for (const int row : rows_) sums_.push_back(3 * row);
+  for (std::size_t k = 0; k < pieces_.size(); ++k)
+  {
+    const int sums = sums_begin_ + sums_size_ * static_cast<int>(k);
+    for (int s = pieces_[k].supernodes_begin; s < pieces_[k].supernodes_end; ++s)
+    {
+      for (int r = supernodes_[s].rows_begin; r < supernodes_[s].rows_begin + supernodes_[s].rows_count; ++r)
+      {
+        if (rows_[r] >= parting_column_) sums_[r] = sums + 3 * (rows_[r] - parting_column_);
+      }
+    }
+  }
 }
 
 double SparseCholesky::work() const
@@ -315,53 +437,90 @@ void SparseCholesky::invertDiagonal()
 void SparseCholesky::solve(const float* b, float* x)
 {
   solve(
+      1,
       [&](int begin, int end, float* to) {
-        for (int k = begin; k < end; ++k, to += 3) std::copy_n(b + 4L * order_[k], 3, to);
+        for (int k = begin; k < end; ++k, to += 3)
+        {
+          for (int axis = 0; axis < 3; ++axis) to[axis] = b[4L * order_[k] + axis];
+        }
       },
       [&](int begin, int end, const float* from) {
         for (int k = begin; k < end; ++k, from += 3)
         {
-          std::copy_n(from, 3, x + 4L * order_[k]);
+          for (int axis = 0; axis < 3; ++axis) x[4L * order_[k] + axis] = from[axis];
           x[4L * order_[k] + 3] = 0;
         }
       });
 }
 
-void SparseCholesky::solve(const Read& read, const Write& write)
+void SparseCholesky::solve(int threads, const Read& read, const Write& write)
+{
+  const int pieces = static_cast<int>(pieces_.size()), supernodes = static_cast<int>(supernodes_.size());
+  float* parting = work_.data() + 3L * parting_column_;
+  const std::ptrdiff_t parted = 3 * (static_cast<std::ptrdiff_t>(order_.size()) - parting_column_);
+  const auto sumsOf = [&](int piece) {
+    return work_.data() + sums_begin_ + static_cast<std::ptrdiff_t>(sums_size_) * piece;
+  };
+  forEachPiece(threads, pieces, [&](int k) {
+    const Piece& piece = pieces_[k];
+    std::fill_n(sumsOf(k), parted, 0.0f);
+    read(piece.columns_begin, piece.columns_end, work_.data() + 3L * piece.columns_begin);
+    forward(piece.supernodes_begin, piece.supernodes_end, products_.data() + product_size_ * k);
+  });
+  for (int k = 0; k < pieces; ++k)
+  {
+    const float* sums = sumsOf(k);
+    for (std::ptrdiff_t i = 0; i < parted; ++i) parting[i] += sums[i];
+  }
+  forward(parting_supernode_, supernodes, products_.data());
+  backward(parting_supernode_, supernodes, products_.data());
+  forEachPiece(threads, pieces, [&](int claimed) {
+    // One thread goes back the way it came, as the caches have what it had last.
+    const int k = threads == 1 ? pieces - 1 - claimed : claimed;
+    const Piece& piece = pieces_[k];
+    backward(piece.supernodes_begin, piece.supernodes_end, products_.data() + product_size_ * k);
+    write(piece.columns_begin, piece.columns_end, work_.data() + 3L * piece.columns_begin);
+  });
+}
+
+void SparseCholesky::forward(int begin, int end, float* product)
 {
   const kernels::Table& kernel = kernels::table();
-  const int n = static_cast<int>(order_.size());
-  read(0, n, work_.data());
-  for (const Supernode& node : supernodes_)
+  for (int s = begin; s < end; ++s)
   {
+    const Supernode& node = supernodes_[s];
     const int width = node.end - node.begin;
     float* own = work_.data() + 3L * node.begin;
-    kernel.panel_product(stride(width + node.rows_count), 3 * width, values_.data() + node.values, own,
-                         product_.data());
-    std::copy_n(product_.data(), 3 * width, own);
-    const float* below = product_.data() + 3L * width;
+    kernel.panel_product(stride(width + node.rows_count), 3 * width, values_.data() + node.values, own, product);
+    std::copy_n(product, 3 * width, own);
+    const float* below = product + 3L * width;
+    const int* sums = sums_.data() + node.rows_begin;
     for (int k = 0; k < node.rows_count; ++k)
     {
-      float* to = work_.data() + 3L * rows_[node.rows_begin + k];
-      for (int axis = 0; axis < 3; ++axis) to[axis] -= below[3L * k + axis];
+      float* sum = work_.data() + sums[k];
+      for (int axis = 0; axis < 3; ++axis) sum[axis] -= below[3L * k + axis];
     }
   }
-  for (auto s = supernodes_.rbegin(); s != supernodes_.rend(); ++s)
+}
+
+void SparseCholesky::backward(int begin, int end, float* gathered)
+{
+  const kernels::Table& kernel = kernels::table();
+  for (int s = end - 1; s >= begin; --s)
   {
-    const Supernode& node = *s;
+    const Supernode& node = supernodes_[s];
     const int width = node.end - node.begin, height = width + node.rows_count;
     float* own = work_.data() + 3L * node.begin;
-    std::copy_n(own, 3 * width, gathered_.data());
-    float* below = gathered_.data() + 3L * width;
+    std::copy_n(own, 3 * width, gathered);
+    float* below = gathered + 3L * width;
     for (int k = 0; k < node.rows_count; ++k)
     {
       const float* from = work_.data() + 3L * rows_[node.rows_begin + k];
       for (int axis = 0; axis < 3; ++axis) below[3L * k + axis] = -from[axis];
     }
-    std::fill(gathered_.begin() + 3L * height, gathered_.begin() + stride(height), 0.0f);
-    kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered_.data(), own);
+    std::fill(gathered + 3L * height, gathered + stride(height), 0.0f);
+    kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered, own);
   }
-  write(0, n, work_.data());
 }
 
 }  // namespace bezier_fem

@@ -276,11 +276,13 @@ void TurnedFactor::turn(const Rotations& rotations)
   });
 }
 
-const float* TurnedFactor::solve()
+const float* TurnedFactor::solve(const Fill& fill)
 {
   const int* order = cholesky_.order().data();
   cholesky_.solve(
+      partition_.threads(),
       [&](int begin, int end, float* b) {
+        fill(order + begin, end - begin);
         const float* frame = frames_.data() + FRAME * begin + COLUMNS;
         for (int k = begin; k < end; ++k, frame += FRAME, b += 3)
         {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 
 #include "bezier_fem/assembled_system.h"
@@ -48,10 +49,12 @@ public:
   /** Turns the frames to the present rotations. */
   void turn(const Rotations& rotations);
 
-  /** A right-hand side to be filled in, 4 floats a node; what it has in held components is not looked at. */
+  /** A right-hand side, 4 floats a node; what it has in held components is not looked at. */
   float* right() { return right_.data(); }
+  /** Fills in the right-hand side of some nodes; of different ones at the same time. */
+  using Fill = std::function<void(const int* nodes, int count)>;
   /** About A^-1 right on the free components, 0 on the held ones; 4 floats a node. */
-  const float* solve();
+  const float* solve(const Fill& fill);
 
   const SparseCholesky& cholesky() const { return cholesky_; }
 

@@ -261,15 +261,17 @@ TEST(LinearSolve, AFactorTurnsWithTheBodyAndLeavesOutWhatIsHeld)
     ASSERT_TRUE(at_rest.factor(rest, rest, held, 1, 4e-4));
     ASSERT_TRUE(anew.factor(turned, turned, held, 1, 4e-4));
     const auto solve = [&](TurnedFactor& factor, float in_held) {
-      for (int i = 0; i < n; ++i)
-      {
-        for (int axis = 0; axis < 3; ++axis)
+      const float* left = factor.solve([&](const int* nodes, int count) {
+        for (int k = 0; k < count; ++k)
         {
-          factor.right()[4 * i + axis] = held[i] >> axis & 1 ? in_held : static_cast<float>(b[i][axis]);
+          const int i = nodes[k];
+          for (int axis = 0; axis < 3; ++axis)
+          {
+            factor.right()[4 * i + axis] = held[i] >> axis & 1 ? in_held : static_cast<float>(b[i][axis]);
+          }
+          factor.right()[4 * i + 3] = in_held;
         }
-        factor.right()[4 * i + 3] = in_held;
-      }
-      const float* left = factor.solve();
+      });
       return Eigen::MatrixXf(Eigen::Map<const Eigen::MatrixXf>(left, 4, n));
     };
     at_rest.turn(turned);

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <atomic>
 
 #include "bezier_fem/conjugate_gradient.h"
 #include "bezier_fem/step.h"
@@ -297,6 +298,49 @@ TEST_P(Cholesky, SolvesLikeADenseFactor)
   // Not positive definite: said, not solved.
   FusedAssembler(model, matrix).assemble(model, partition, restRotations(model), -1, 4e-4, matrix);
   EXPECT_FALSE(cholesky.factor(matrix));
+}
+
+TEST_P(Cholesky, IsTheSameForAnyNumberOfThreads)
+{
+  const Model model = test::boxModel(test::irregularBox({6, 6, 12}, {0.4, 0.4, 1.0}), GetParam(), STIFF);
+  AssembledMatrix matrix(model);
+  FusedAssembler(model, matrix).assemble(model, Partition(model, 1), restRotations(model), 1, 4e-4, matrix);
+  SparseCholesky cholesky(matrix, model.rest);
+  ASSERT_TRUE(cholesky.factor(matrix));
+  const int n = model.num_nodes;
+  const NodalField b = test::randomField(n, 4);
+  const auto solve = [&](int threads, std::atomic<int>& parts) {
+    NodalField x(n);
+    cholesky.solve(
+        threads,
+        [&](int begin, int end, float* to) {
+          ++parts;
+          for (int k = begin; k < end; ++k)
+          {
+            for (int axis = 0; axis < 3; ++axis) *to++ = static_cast<float>(b[cholesky.order()[k]][axis]);
+          }
+        },
+        [&](int begin, int end, const float* from) {
+          for (int k = begin; k < end; ++k, from += 3)
+          {
+            x[cholesky.order()[k]] = Eigen::Map<const Eigen::Vector3f>(from).cast<double>();
+          }
+        });
+    return x;
+  };
+  std::atomic<int> parts = 0, others = 0;
+  const NodalField x = solve(1, parts);
+  EXPECT_GE(parts, 3);  // or there is nothing to be done at the same time
+  NodalField product(n);
+  matrix.product(Partition(model, 1), x, product);
+  EXPECT_LT((product.matrix() - b.matrix()).norm(), 1e-3 * b.matrix().norm());
+  for (const int threads : {2, 3, 8})
+  {
+    for (int repeat = 0; repeat < 10; ++repeat)
+    {
+      EXPECT_EQ((solve(threads, others).matrix() - x.matrix()).cwiseAbs().maxCoeff(), 0);
+    }
+  }
 }
 
 }  // namespace
