@@ -306,6 +306,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
     supernodes_.push_back({p.begin, p.end, static_cast<int>(rows_.size()), count, values});
     rows_.insert(rows_.end(), p.rows.begin(), p.rows.end());
     values += 3 * static_cast<std::size_t>(stride(p.end - p.begin + count)) * (p.end - p.begin);
+    for (int j = 0; j < 3 * (p.end - p.begin); ++j) size_ += stride(p.end - p.begin + count) - j / LANES * LANES;
     most_rows = std::max(most_rows, p.end - p.begin + count);
     // An update of another supernode, or the panel itself with its diagonal block inverted.
     const std::size_t size = 9 * static_cast<std::size_t>(p.end - p.begin) * (p.end - p.begin + count);

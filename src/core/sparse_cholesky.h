@@ -37,8 +37,8 @@ public:
   void solve(int threads, const Read& read, const Write& write);
   const std::vector<int>& order() const { return order_; }
 
-  /** Numbers in the factor, each of which a solve reads twice. */
-  std::size_t size() const { return values_.size(); }
+  /** Numbers of the factor, and of what fills up registers, each of which a solve reads twice. */
+  std::size_t size() const { return size_; }
   /** Multiplications in factor(). */
   double work() const;
 
@@ -68,6 +68,7 @@ private:
   std::vector<int> rows_;
   std::vector<int> sums_;  // of work_, for each of rows_: where a solve sums up what it takes off that row
   AlignedVector<float> values_;
+  std::size_t size_ = 0;
   // Scratch: 3 floats a column, then the sums of each piece for the columns that part it from others
   AlignedVector<float> work_;
   int sums_begin_ = 0, sums_size_ = 0;
