@@ -137,10 +137,12 @@ public:
                                       shares_.data() + FIRST_SHARE);
     });
   }
-  /** The same of P c, c of the corners. */
-  void multiplyProlonged(const float* corners)
+  /** The same of P c, c of the corners, and `also` of each piece at the same time. */
+  template <class F>
+  void multiplyProlonged(const float* corners, const F& also)
   {
     forEachPiece(partition_, [&](int t) {
+      also(t);
       kernels::table().prolonged_product(elements(), partition_.blockBegin(t), partition_.blockEnd(t), corners,
                                          shares_.data() + FIRST_SHARE);
     });
@@ -240,6 +242,7 @@ private:
   {
     constexpr std::ptrdiff_t BLOCK = 9 * LANES;
     const auto points = static_cast<float>(rotations.points);
+    mean_.resize(model_.block_mean.size());
     forEachPiece(partition_, [&](int t) {
       for (std::ptrdiff_t block = partition_.blockBegin(t); block < partition_.blockEnd(t); ++block)
       {
@@ -253,14 +256,18 @@ private:
         }
         for (std::ptrdiff_t k = 0; k < BLOCK && rotations.points > 1; ++k) to[k] /= points;
       }
+      for (std::ptrdiff_t row = 3L * partition_.blockBegin(t); row < 3L * partition_.blockEnd(t); ++row)
+      {
+        const double factor = row % 3 == 2 ? alpha : beta;
+        const double* from = model_.block_coefficients.data() + row * LANES;
+        for (int k = 0; k < LANES; ++k) coefficients_[row * LANES + k] = static_cast<float>(factor * from[k]);
+      }
+      if (mean_.empty()) return;
+      for (std::ptrdiff_t k = LANES * partition_.blockBegin(t); k < LANES * partition_.blockEnd(t); ++k)
+      {
+        mean_[k] = static_cast<float>(beta * model_.block_mean[k]);
+      }
     });
-    for (std::size_t k = 0; k < coefficients_.size(); ++k)
-    {
-      const bool density = k / LANES % 3 == 2;
-      coefficients_[k] = static_cast<float>((density ? alpha : beta) * model_.block_coefficients[k]);
-    }
-    mean_.resize(model_.block_mean.size());
-    for (std::size_t k = 0; k < mean_.size(); ++k) mean_[k] = static_cast<float>(beta * model_.block_mean[k]);
   }
 
   void takeInverse(const AlignedVector<double>& inverse)
@@ -378,14 +385,13 @@ void PMultigrid::cycle()
       Node(factor_->right() + 4L * vertex) = ConstNode(residual + 4L * node_of_vertex_[vertex]) + 0.5f * edges;
     }
   });
-  forEachPiece(partition_, [&](int piece) {
+  level.multiplyProlonged(corners, [&](int piece) {
     for (int i = partition_.nodeBegin(piece); i < partition_.nodeEnd(piece); ++i)
     {
       const auto [a, b] = vertices_of_[i];
       Node(level.correction.data() + 4L * i) += 0.5f * (ConstNode(corners + 4L * a) + ConstNode(corners + 4L * b));
     }
   });
-  level.multiplyProlonged(corners);
   level.smooth(false);
 }
 
