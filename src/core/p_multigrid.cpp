@@ -3,6 +3,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numeric>
 #include <random>
 
@@ -373,7 +374,7 @@ void PMultigrid::cycle()
   using ConstNode = Eigen::Map<const Eigen::Vector4f, Eigen::Aligned16>;
   const float* residual = level.residual.data();
   // Regions hold edges where they hold both corners: so edges need no mask of their own.
-  const float* corners = factor_->solve([&](const int* vertices, int count) {
+  const auto restrict = [&](const int* vertices, int count) {
     for (int k = 0; k < count; ++k)
     {
       const int vertex = vertices[k];
@@ -384,7 +385,8 @@ void PMultigrid::cycle()
       }
       Node(factor_->right() + 4L * vertex) = ConstNode(residual + 4L * node_of_vertex_[vertex]) + 0.5f * edges;
     }
-  });
+  };
+  const float* corners = factor_->solve(std::ref(restrict));
   level.multiplyProlonged(corners, [&](int piece) {
     for (int i = partition_.nodeBegin(piece); i < partition_.nodeEnd(piece); ++i)
     {
@@ -403,7 +405,7 @@ void PMultigrid::apply(const NodalField& r, NodalField& z)
     const auto fill = [&](const int* vertices, int count) {
       for (int k = 0; k < count; ++k) std::copy_n(r.data() + 4L * vertices[k], 3, factor_->right() + 4L * vertices[k]);
     };
-    std::copy_n(factor_->solve(fill), numbers, z.data());
+    std::copy_n(factor_->solve(std::ref(fill)), numbers, z.data());
     return;
   }
   const double scale = quadratic_->start(r);

@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -206,7 +207,7 @@ int TurnedFactor::patience(double cost) const
 /** @return  whether they are others than the last */
 bool TurnedFactor::takeRotations(const Rotations& rotations)
 {
-  std::vector<char> others(partition_.pieces());
+  std::atomic<bool> others = false;
   forEachPiece(partition_, [&](int piece) {
     constexpr int ROW = 3 * LANES;
     Mask different = {};
@@ -239,9 +240,9 @@ bool TurnedFactor::takeRotations(const Rotations& rotations)
         }
       }
     }
-    others[piece] = (different[0] | different[1] | different[2]) != 0;
+    if ((different[0] | different[1] | different[2]) != 0) others = true;
   });
-  return std::any_of(others.begin(), others.end(), [](char other) { return other != 0; });
+  return others;
 }
 
 /** Calls f(k, frame) with the mean rotation of each node's elements, nodes in the order of elimination. */
@@ -279,25 +280,25 @@ void TurnedFactor::turn(const Rotations& rotations)
 const float* TurnedFactor::solve(const Fill& fill)
 {
   const int* order = cholesky_.order().data();
-  cholesky_.solve(
-      partition_.threads(),
-      [&](int begin, int end, float* b) {
-        fill(order + begin, end - begin);
-        const float* frame = frames_.data() + FRAME * begin + COLUMNS;
-        for (int k = begin; k < end; ++k, frame += FRAME, b += 3)
-        {
-          const int i = order[k];
-          const Node turned = columnsAt(frame) * only(freeOf(held_[i]), nodeAt(right_.data() + 4L * i));
-          std::memcpy(b, &turned, 3 * sizeof(float));
-        }
-      },
-      [&](int begin, int end, const float* x) {
-        const float* frame = frames_.data() + FRAME * begin;
-        for (int k = begin; k < end; ++k, frame += FRAME, x += 3)
-        {
-          *reinterpret_cast<Node*>(left_.data() + 4L * order[k]) = columnsAt(frame) * Node{x[0], x[1], x[2]};
-        }
-      });
+  const auto read = [&](int begin, int end, float* b) {
+    fill(order + begin, end - begin);
+    const float* frame = frames_.data() + FRAME * begin + COLUMNS;
+    for (int k = begin; k < end; ++k, frame += FRAME, b += 3)
+    {
+      const int i = order[k];
+      const Node turned = columnsAt(frame) * only(freeOf(held_[i]), nodeAt(right_.data() + 4L * i));
+      std::memcpy(b, &turned, 3 * sizeof(float));
+    }
+  };
+  const auto write = [&](int begin, int end, const float* x) {
+    const float* frame = frames_.data() + FRAME * begin;
+    for (int k = begin; k < end; ++k, frame += FRAME, x += 3)
+    {
+      *reinterpret_cast<Node*>(left_.data() + 4L * order[k]) = columnsAt(frame) * Node{x[0], x[1], x[2]};
+    }
+  };
+  // By reference, so that nothing is allocated.
+  cholesky_.solve(partition_.threads(), std::ref(read), std::ref(write));
   return left_.data();
 }
 
