@@ -9,7 +9,7 @@ class DirectPreconditioner final : public Preconditioner
 {
 public:
   /** Keeps a reference to the model. */
-  explicit DirectPreconditioner(const Model& model);
+  DirectPreconditioner(const Model& model, int threads);
 
   bool prepare(const Model& model, const Rotations& rotations, const HeldAxes& held, double alpha, double beta,
                const AlignedVector<double>& inverse) override;

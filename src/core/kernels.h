@@ -278,7 +278,7 @@ struct Table
   /** That, then d = keep d + gain B^-1 r, z += d, r -= mass d. */
   void (*single_chebyshev)(const NodeShares& lists, int begin, int end, float keep, float gain, const float* shares,
                            const float* inverse, const float* mass, float* r, float* d, float* z);
-  /** y = L x and y = L^T x of a panel L by columns, its rows a multiple of LANES. */
+  /** y = L x and y = L^T x of a panel L by columns, its rows a multiple of LANES, with zeros above its diagonal. */
   void (*panel_product)(int rows, int columns, const float* panel, const float* x, float* y);
   void (*panel_transpose_product)(int rows, int columns, const float* panel, const float* x, float* y);
 

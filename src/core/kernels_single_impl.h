@@ -211,56 +211,89 @@ void singleRedirect(int begin, int end, float b, const float* z, float* p)
   forEachSingleNodes(begin, end, [&](long at, long /*block*/) { store(p + at, load(z + at) + keep * load(p + at)); });
 }
 
-/** y = L x, L of `rows` x `columns`, by columns, both whole registers. */
+/** N registers of y = L x from row i on. */
+template <int N>
+ALWAYS_INLINE void panelRows(int rows, int columns, const float* panel, const float* x, int i, float* y)
+{
+  SingleVec even[N] = {}, odd[N] = {};
+  const float* p = panel + i;
+  int j = 0;
+  // Registers above the diagonal are left out.
+#pragma GCC unroll 4
+  for (int first = 0; first < N; ++first)
+  {
+    const int diagonal = i + (first + 1) * SINGLE_WIDTH, last = columns < diagonal ? columns : diagonal;
+    for (; j + 1 < last; j += 2, p += 2L * rows)
+    {
+      const SingleVec a = SingleVec{} + x[j], b = SingleVec{} + x[j + 1];
+      for (int k = first; k < N; ++k)
+      {
+        even[k] += a * load(p + static_cast<long>(k) * SINGLE_WIDTH);
+        odd[k] += b * load(p + rows + static_cast<long>(k) * SINGLE_WIDTH);
+      }
+    }
+    if (j < last)
+    {
+      const SingleVec a = SingleVec{} + x[j];
+      for (int k = first; k < N; ++k) even[k] += a * load(p + static_cast<long>(k) * SINGLE_WIDTH);
+      ++j;
+      p += rows;
+    }
+  }
+  for (int k = 0; k < N; ++k) store(y + i + static_cast<long>(k) * SINGLE_WIDTH, even[k] + odd[k]);
+}
+
+/** y = L x, L of `rows` x `columns`, by columns, rows whole registers. */
 void panelProduct(int rows, int columns, const float* panel, const float* x, float* y)
 {
-  constexpr int STEP = 4 * SINGLE_WIDTH;
   int i = 0;
-  for (; i + STEP <= rows; i += STEP)
+  for (; i + 4 * SINGLE_WIDTH <= rows; i += 4 * SINGLE_WIDTH) panelRows<4>(rows, columns, panel, x, i, y);
+  const int left = (rows - i) / SINGLE_WIDTH;
+  if (left == 3) panelRows<3>(rows, columns, panel, x, i, y);
+  if (left == 2) panelRows<2>(rows, columns, panel, x, i, y);
+  if (left == 1) panelRows<1>(rows, columns, panel, x, i, y);
+}
+
+/** The sums of the numbers of each. */
+ALWAYS_INLINE SingleNode totals(SingleVec a, SingleVec b, SingleVec c, SingleVec d)
+{
+  const SingleVec ab = BY_FOURS(a, b, 0, 4, 1, 5) + BY_FOURS(a, b, 2, 6, 3, 7);
+  const SingleVec cd = BY_FOURS(c, d, 0, 4, 1, 5) + BY_FOURS(c, d, 2, 6, 3, 7);
+  const SingleVec sum = BY_FOURS(ab, cd, 0, 1, 4, 5) + BY_FOURS(ab, cd, 2, 3, 6, 7);
+#if WIDTH == 2
+  return sum;
+#elif WIDTH == 4
+  return __builtin_shufflevector(sum, sum, 0, 1, 2, 3) + __builtin_shufflevector(sum, sum, 4, 5, 6, 7);
+#else
+  const auto half = __builtin_shufflevector(sum, sum, 0, 1, 2, 3, 4, 5, 6, 7) +
+                    __builtin_shufflevector(sum, sum, 8, 9, 10, 11, 12, 13, 14, 15);
+  return __builtin_shufflevector(half, half, 0, 1, 2, 3) + __builtin_shufflevector(half, half, 4, 5, 6, 7);
+#endif
+}
+
+/** N numbers of y = L^T x from column j on, a multiple of 4. */
+template <int N>
+ALWAYS_INLINE void panelColumns(int rows, const float* panel, const float* x, int j, float* y)
+{
+  SingleVec sum[4];
+  for (SingleVec& each : sum) each = zeros<SingleVec>();
+  const float* p = panel + static_cast<long>(j) * rows;
+  // Registers above the diagonal are left out.
+  for (int i = j - j % SINGLE_WIDTH; i < rows; i += SINGLE_WIDTH)
   {
-    SingleVec sum[4] = {};
-    const float* p = panel + i;
-    for (int j = 0; j < columns; ++j, p += rows)
-    {
-      const SingleVec factor = SingleVec{} + x[j];
-      for (int k = 0; k < 4; ++k) sum[k] += factor * load(p + static_cast<long>(k) * SINGLE_WIDTH);
-    }
-    for (int k = 0; k < 4; ++k) store(y + i + static_cast<long>(k) * SINGLE_WIDTH, sum[k]);
+    const SingleVec v = load(x + i);
+    for (int k = 0; k < N; ++k) sum[k] += v * load(p + static_cast<long>(k) * rows + i);
   }
-  for (; i < rows; i += SINGLE_WIDTH)
-  {
-    SingleVec sum[2] = {};
-    const float* p = panel + i;
-    int j = 0;
-    for (; j + 1 < columns; j += 2, p += 2L * rows)
-    {
-      sum[0] += (SingleVec{} + x[j]) * load(p);
-      sum[1] += (SingleVec{} + x[j + 1]) * load(p + rows);
-    }
-    if (j < columns) sum[0] += (SingleVec{} + x[j]) * load(p);
-    store(y + i, sum[0] + sum[1]);
-  }
+  const SingleNode made = totals(sum[0], sum[1], sum[2], sum[3]);
+  for (int k = 0; k < N; ++k) y[j + k] = made[k];
 }
 
 /** y = L^T x */
 void panelTransposeProduct(int rows, int columns, const float* panel, const float* x, float* y)
 {
   int j = 0;
-  for (; j + 4 <= columns; j += 4)
-  {
-    SingleVec sum[4] = {};
-    const float* p = panel + static_cast<long>(j) * rows;
-    for (int i = 0; i < rows; i += SINGLE_WIDTH)
-    {
-      const SingleVec v = load(x + i);
-      for (int k = 0; k < 4; ++k) sum[k] += v * load(p + static_cast<long>(k) * rows + i);
-    }
-    for (int k = 0; k < 4; ++k) y[j + k] = total(sum[k]);
-  }
-  for (; j < columns; ++j)
-  {
-    SingleVec sum = {};
-    for (int i = 0; i < rows; i += SINGLE_WIDTH) sum += load(x + i) * load(panel + static_cast<long>(j) * rows + i);
-    y[j] = total(sum);
-  }
+  for (; j + 4 <= columns; j += 4) panelColumns<4>(rows, panel, x, j, y);
+  if (columns - j == 3) panelColumns<3>(rows, panel, x, j, y);
+  if (columns - j == 2) panelColumns<2>(rows, panel, x, j, y);
+  if (columns - j == 1) panelColumns<1>(rows, panel, x, j, y);
 }

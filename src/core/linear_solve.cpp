@@ -34,7 +34,7 @@ void make(Kind kind, const Model& model, Workspace& w)
   if (w.preconditioner && w.preconditioner_kind == kind) return;
   if (kind == Kind::DIRECT)
   {
-    w.preconditioner = std::make_unique<DirectPreconditioner>(model);
+    w.preconditioner = std::make_unique<DirectPreconditioner>(model, w.partition.threads());
   }
   else
   {

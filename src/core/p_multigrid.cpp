@@ -3,6 +3,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numeric>
 #include <random>
 
@@ -110,12 +111,30 @@ public:
    */
   double start(const NodalField& r)
   {
-    const double largest = r.matrix().cwiseAbs().maxCoeff(), scale = largest > 0 ? largest : 1;
-    for (AlignedVector<float>* field : {&solution, &search, &product}) std::fill(field->begin(), field->end(), 0.0f);
-    Eigen::Map<Eigen::VectorXf>(remaining.data(), 4L * r.size()) =
-        (Eigen::Map<const Eigen::VectorXd>(r.data(), 4L * r.size()) / scale).cast<float>();
+    std::fill(partial_.begin(), partial_.end(), 0.0);
+    sum([&](int begin, int end) { return r.matrix().middleCols(begin, end - begin).cwiseAbs().maxCoeff(); });
+    const double largest = *std::max_element(partial_.begin(), partial_.end()), scale = largest > 0 ? largest : 1;
+    forEachPiece(partition_, [&](int t) {
+      const std::ptrdiff_t begin = 4L * partition_.nodeBegin(t), end = 4L * partition_.nodeEnd(t);
+      for (AlignedVector<float>* field : {&solution, &search, &product})
+      {
+        std::fill(field->begin() + begin, field->begin() + end, 0.0f);
+      }
+      Eigen::Map<Eigen::VectorXf>(remaining.data() + begin, end - begin) =
+          (Eigen::Map<const Eigen::VectorXd>(r.data() + begin, end - begin) / scale).cast<float>();
+    });
     advance(0);
     return scale;
+  }
+
+  /** u += scale solution */
+  void addTo(NodalField& u, double scale) const
+  {
+    forEachPiece(partition_, [&](int t) {
+      const std::ptrdiff_t begin = 4L * partition_.nodeBegin(t), numbers = 4L * partition_.nodeEnd(t) - begin;
+      Eigen::Map<Eigen::VectorXd>(u.data() + begin, numbers) +=
+          scale * Eigen::Map<const Eigen::VectorXf>(solution.data() + begin, numbers).cast<double>();
+    });
   }
 
   /** The largest eigenvalue of B^-1 A, from below. */
@@ -145,10 +164,12 @@ public:
   void multiply(const AlignedVector<float>& u) { multiply(u, true); }
   /** The same of the smoother's operator, without what of the mass is lumped. */
   void multiplySmoothed(const AlignedVector<float>& u) { multiply(u, !lumped_); }
-  /** The same of P c, c of the corners. */
-  void multiplyProlonged(const float* corners)
+  /** The same of P c, c of the corners, and `also` of each piece at the same time. */
+  template <class F>
+  void multiplyProlonged(const float* corners, const F& also)
   {
     forEachPiece(partition_, [&](int t) {
+      also(t);
       kernels::table().prolonged_product(elements(!lumped_), partition_.blockBegin(t), partition_.blockEnd(t), corners,
                                          shares_.data() + FIRST_SHARE);
     });
@@ -264,6 +285,7 @@ private:
   {
     constexpr std::ptrdiff_t BLOCK = 9 * LANES;
     const auto points = static_cast<float>(rotations.points);
+    mean_.resize(model_.block_mean.size());
     forEachPiece(partition_, [&](int t) {
       for (std::ptrdiff_t block = partition_.blockBegin(t); block < partition_.blockEnd(t); ++block)
       {
@@ -277,14 +299,18 @@ private:
         }
         for (std::ptrdiff_t k = 0; k < BLOCK && rotations.points > 1; ++k) to[k] /= points;
       }
+      for (std::ptrdiff_t row = 3L * partition_.blockBegin(t); row < 3L * partition_.blockEnd(t); ++row)
+      {
+        const double factor = row % 3 == 2 ? alpha : beta;
+        const double* from = model_.block_coefficients.data() + row * LANES;
+        for (int k = 0; k < LANES; ++k) coefficients_[row * LANES + k] = static_cast<float>(factor * from[k]);
+      }
+      if (mean_.empty()) return;
+      for (std::ptrdiff_t k = LANES * partition_.blockBegin(t); k < LANES * partition_.blockEnd(t); ++k)
+      {
+        mean_[k] = static_cast<float>(beta * model_.block_mean[k]);
+      }
     });
-    for (std::size_t k = 0; k < coefficients_.size(); ++k)
-    {
-      const bool density = k / LANES % 3 == 2;
-      coefficients_[k] = static_cast<float>((density ? alpha : beta) * model_.block_coefficients[k]);
-    }
-    mean_.resize(model_.block_mean.size());
-    for (std::size_t k = 0; k < mean_.size(); ++k) mean_[k] = static_cast<float>(beta * model_.block_mean[k]);
   }
 
   /** Returns the sum over the nodes of the mass's share in the diagonal. */
@@ -318,7 +344,7 @@ PMultigrid::PMultigrid(const Model& model, const Partition& partition)
     : partition_(partition),
       linear_(linearModel(model, node_of_vertex_, vertices_of_)),
       linear_rotations_(restRotations(*linear_)),
-      factor_(std::make_unique<TurnedFactor>(*linear_)),
+      factor_(std::make_unique<TurnedFactor>(*linear_, partition.threads())),
       held_vertices_(node_of_vertex_.size())
 {
   // In seconds on a processor of 2.6 GHz, so that the ratio is one of work and not of today's clock.
@@ -396,18 +422,20 @@ void PMultigrid::cycle()
   using ConstNode = Eigen::Map<const Eigen::Vector4f, Eigen::Aligned16>;
   const float* residual = level.residual.data();
   // Regions hold edges where they hold both corners: so edges need no mask of their own.
-  const int vertices = static_cast<int>(node_of_vertex_.size());
-  const int pieces = partition_.pieces();
-  forEachPiece(partition_, [&](int piece) {
-    for (int k = vertices * piece / pieces; k < vertices * (piece + 1) / pieces; ++k)
+  const auto restrict = [&](const int* vertices, int count) {
+    for (int k = 0; k < count; ++k)
     {
+      const int vertex = vertices[k];
       Eigen::Vector4f edges = Eigen::Vector4f::Zero();
-      for (int e = edges_begin_[k]; e < edges_begin_[k + 1]; ++e) edges += ConstNode(residual + 4L * edges_[e]);
-      Node(factor_->right() + 4L * k) = ConstNode(residual + 4L * node_of_vertex_[k]) + 0.5f * edges;
+      for (int e = edges_begin_[vertex]; e < edges_begin_[vertex + 1]; ++e)
+      {
+        edges += ConstNode(residual + 4L * edges_[e]);
+      }
+      Node(factor_->right() + 4L * vertex) = ConstNode(residual + 4L * node_of_vertex_[vertex]) + 0.5f * edges;
     }
-  });
-  const float* corners = factor_->solve();
-  forEachPiece(partition_, [&](int piece) {
+  };
+  const float* corners = factor_->solve(std::ref(restrict));
+  level.multiplyProlonged(corners, [&](int piece) {
     for (int i = partition_.nodeBegin(piece); i < partition_.nodeEnd(piece); ++i)
     {
       const auto [a, b] = vertices_of_[i];
@@ -416,7 +444,6 @@ void PMultigrid::cycle()
       Node(level.residual.data() + 4L * i) -= level.lumpedMass(i) * mean;
     }
   });
-  level.multiplyProlonged(corners);
   level.smooth(false);
 }
 
@@ -425,8 +452,10 @@ void PMultigrid::apply(const NodalField& r, NodalField& z)
   const std::ptrdiff_t numbers = 4L * z.size();
   if (!quadratic_)
   {
-    std::copy_n(r.data(), numbers, factor_->right());
-    std::copy_n(factor_->solve(), numbers, z.data());
+    const auto fill = [&](const int* vertices, int count) {
+      for (int k = 0; k < count; ++k) std::copy_n(r.data() + 4L * vertices[k], 3, factor_->right() + 4L * vertices[k]);
+    };
+    std::copy_n(factor_->solve(std::ref(fill)), numbers, z.data());
     return;
   }
   const double scale = quadratic_->start(r);
@@ -438,7 +467,6 @@ void PMultigrid::apply(const NodalField& r, NodalField& z)
 int PMultigrid::improve(const NodalField& r, double target, int max_iterations, NodalField& u)
 {
   QuadraticLevel& level = *quadratic_;
-  const std::ptrdiff_t numbers = 4L * u.size();
   const double scale = level.start(r);
   target /= scale;
   int iterations = 0;
@@ -456,8 +484,7 @@ int PMultigrid::improve(const NodalField& r, double target, int max_iterations, 
     ++iterations;
     if (!(level.advance(slope / curvature) > target * target)) break;
   }
-  Eigen::Map<Eigen::VectorXd>(u.data(), numbers) +=
-      scale * Eigen::Map<const Eigen::VectorXf>(level.solution.data(), numbers).cast<double>();
+  level.addTo(u, scale);
   return iterations;
 }
 

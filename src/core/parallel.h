@@ -10,18 +10,24 @@ namespace bezier_fem
 /** work(data, piece) for every piece, by several threads that claim them. */
 void runPieces(int threads, int pieces, void (*work)(const void*, int), const void* data);
 
-/** Calls f(piece) for every piece of the partition, at the same time where there are several threads. */
+/** Calls f(piece) for every piece, at the same time where there are several threads. */
 template <class F>
-void forEachPiece(const Partition& partition, const F& f)
+void forEachPiece(int threads, int pieces, const F& f)
 {
-  if (partition.threads() == 1)
+  if (threads == 1 || pieces == 1)
   {
-    f(0);
+    for (int piece = 0; piece < pieces; ++piece) f(piece);
     return;
   }
   runPieces(
-      partition.threads(), partition.pieces(),
-      [](const void* data, int piece) { (*static_cast<const F*>(data))(piece); }, &f);
+      threads, pieces, [](const void* data, int piece) { (*static_cast<const F*>(data))(piece); }, &f);
+}
+
+/** The same for every piece of the partition. */
+template <class F>
+void forEachPiece(const Partition& partition, const F& f)
+{
+  forEachPiece(partition.threads(), partition.pieces(), f);
 }
 
 /**

@@ -5,9 +5,11 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <numeric>
 
 #include "kernels.h"
+#include "parallel.h"
 
 namespace bezier_fem
 {
@@ -21,12 +23,20 @@ int stride(int rows)
   return (3 * rows + LANES - 1) / LANES * LANES;
 }
 
-/** Nested dissection by planes (George 1973): halves of a set of nodes first, then the nodes that part them. */
+/**
+ * Nested dissection by planes (George 1973): two parts of a set of nodes first,
+ * then the nodes that part them, which are a least set of nodes to which all
+ * edges from one side of a plane to the other go (Koenig's theorem).
+ */
 class Dissection
 {
 public:
   Dissection(const AssembledMatrix& pattern, const NodalField& positions)
-      : pattern_(pattern), positions_(positions), side_(pattern.rows(), -1)
+      : pattern_(pattern),
+        positions_(positions),
+        side_(pattern.rows(), NONE),
+        match_(pattern.rows()),
+        seen_(pattern.rows())
   {
     std::vector<int> all(pattern.rows());
     std::iota(all.begin(), all.end(), 0);
@@ -36,32 +46,36 @@ public:
   const std::vector<int>& order() const { return order_; }
 
 private:
+  static constexpr int NONE = -1;
+
   void dissect(std::vector<int> nodes)
   {
-    constexpr std::size_t LEAF = 24;
+    constexpr std::size_t LEAF = 12;
     if (nodes.size() <= LEAF)
     {
       order_.insert(order_.end(), nodes.begin(), nodes.end());
       return;
     }
-    std::array<std::vector<int>, 3> best;  // two halves and what parts them
+    std::array<std::vector<int>, 3> best;  // two parts and what parts them
+    double least = std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis)
     {
-      const auto middle = nodes.begin() + static_cast<std::ptrdiff_t>(nodes.size() / 2);
-      std::nth_element(nodes.begin(), middle, nodes.end(), [&](int a, int b) {
-        return std::pair(positions_[a][axis], a) < std::pair(positions_[b][axis], b);
-      });
-      for (auto i = nodes.begin(); i != nodes.end(); ++i) side_[*i] = i < middle ? 0 : 1;
-      // Of the nodes on either side that touch the other, the fewer.
-      for (int cut = 0; cut < 2; ++cut)
+      std::sort(nodes.begin(), nodes.end(),
+                [&](int a, int b) { return std::pair(positions_[a][axis], a) < std::pair(positions_[b][axis], b); });
+      for (const double share : {0.4, 0.45, 0.5, 0.55, 0.6})
       {
-        std::array<std::vector<int>, 3> parts;
-        for (const int i : nodes) parts[side_[i] == cut && touches(i, 1 - cut) ? 2 : side_[i]].push_back(i);
-        if (best[2].empty() || parts[2].size() < best[2].size()) best = std::move(parts);
+        std::array<std::vector<int>, 3> parts =
+            part(nodes, static_cast<std::size_t>(share * static_cast<double>(nodes.size())));
+        // Few nodes part well, and even parts do.
+        const auto a = static_cast<double>(parts[0].size()), b = static_cast<double>(parts[1].size());
+        const double uneven = (a - b) / (a + b),
+                     cost = static_cast<double>(parts[2].size()) * (1 + 2 * uneven * uneven);
+        if (a == 0 || b == 0 || cost >= least) continue;
+        least = cost;
+        best = std::move(parts);
       }
     }
-    for (const int i : nodes) side_[i] = -1;
-    if (best[0].empty() || best[1].empty())
+    if (best[0].empty())
     {
       order_.insert(order_.end(), nodes.begin(), nodes.end());
       return;
@@ -71,20 +85,159 @@ private:
     order_.insert(order_.end(), best[2].begin(), best[2].end());
   }
 
-  bool touches(int node, int side) const
+  /** The first so many nodes, the others, and a least set of either without
+   * which none touches one of the other. */
+  std::array<std::vector<int>, 3> part(const std::vector<int>& nodes, std::size_t first)
+  {
+    for (std::size_t k = 0; k < nodes.size(); ++k)
+    {
+      side_[nodes[k]] = k < first ? 0 : 1;
+      match_[nodes[k]] = NONE;
+    }
+    // As many edges between the sides as can be had with no node in common;
+    // then what can be reached from the first side's nodes that have none, to
+    // and fro.
+    for (std::size_t k = 0; k < first; ++k)
+    {
+      ++walk_;
+      augment(nodes[k]);
+    }
+    ++walk_;
+    for (std::size_t k = 0; k < first; ++k)
+    {
+      if (match_[nodes[k]] == NONE) reach(nodes[k]);
+    }
+    std::array<std::vector<int>, 3> parts;
+    for (const int i : nodes)
+    {
+      const bool reached = seen_[i] == walk_;
+      const bool parting = side_[i] == 0 ? match_[i] != NONE && !reached : reached;
+      parts[parting ? 2 : side_[i]].push_back(i);
+    }
+    for (const int i : nodes) side_[i] = NONE;
+    return parts;
+  }
+
+  /** Calls f for the nodes of the second side that a node touches and that this
+   * walk has not come by, until it is true. */
+  template <class F>
+  bool anyAcross(int node, const F& f)
   {
     for (int k = pattern_.rowBegin()[node]; k < pattern_.rowBegin()[node + 1]; ++k)
     {
-      if (side_[pattern_.column()[k]] == side) return true;
+      const int other = pattern_.column()[k];
+      if (side_[other] != 1 || seen_[other] == walk_) continue;
+      seen_[other] = walk_;
+      if (f(other)) return true;
     }
     return false;
   }
 
+  /** Matches a node of the first side, and others anew where they are in its
+   * way. */
+  bool augment(int node)
+  {
+    return anyAcross(node, [&](int other) {
+      if (match_[other] != NONE && !augment(match_[other])) return false;
+      match_[other] = node;
+      match_[node] = other;
+      return true;
+    });
+  }
+
+  void reach(int node)
+  {
+    seen_[node] = walk_;
+    anyAcross(node, [&](int other) {
+      if (seen_[match_[other]] != walk_) reach(match_[other]);
+      return false;
+    });
+  }
+
   const AssembledMatrix& pattern_;
   const NodalField& positions_;
-  std::vector<int> side_;
+  std::vector<int> side_, match_, seen_;
+  int walk_ = 0;
   std::vector<int> order_;
 };
+
+/** Columns of like structure, and the rows below them. */
+struct Columns
+{
+  int begin, end;
+  std::vector<int> rows;
+  double zeros;
+  double size() const
+  {
+    const double w = end - begin;
+    return w * (w + 1) / 2 + w * static_cast<double>(rows.size());
+  }
+};
+
+/** How long work takes that so many threads do at the same time, each taking
+ * what is the most that is left. */
+double longest(std::vector<double> works, int threads)
+{
+  std::sort(works.rbegin(), works.rend());
+  std::vector<double> sums(threads);
+  for (const double work : works) *std::min_element(sums.begin(), sums.end()) += work;
+  return *std::max_element(sums.begin(), sums.end());
+}
+
+/**
+ * The roots of the subtrees to be solved at the same time, so that two threads
+ * and four have little to wait for; the heaviest first, none where it is not
+ * worth it.
+ * @param panels  in postorder, so that a subtree is so many up to its root
+ * @param counts  set to how many
+ */
+std::vector<int> partingRoots(const std::vector<Columns>& panels, std::vector<int>& counts)
+{
+  constexpr double WAKE = 3000;  // blocks that one thread multiplies by until
+                                 // the others are there, and back
+  constexpr int MOST_SPLITS = 24;
+  const int n = static_cast<int>(panels.size());
+  std::vector<int> panel_of;
+  for (int p = 0; p < n; ++p) panel_of.insert(panel_of.end(), panels[p].end - panels[p].begin, p);
+  std::vector<std::vector<int>> children(n);
+  std::vector<double> works(n);
+  std::vector<int> roots, best;
+  counts.assign(n, 1);
+  double parting = 0, all = 0;
+  for (int p = 0; p < n; ++p)
+  {
+    works[p] += panels[p].size();
+    all += panels[p].size();
+    if (panels[p].rows.empty())
+    {
+      roots.push_back(p);
+      continue;
+    }
+    const int parent = panel_of[panels[p].rows.front()];
+    works[parent] += works[p];
+    counts[parent] += counts[p];
+    children[parent].push_back(p);
+  }
+  double least = 2 * all;
+  for (int split = 0; split < MOST_SPLITS && !roots.empty(); ++split)
+  {
+    std::sort(roots.begin(), roots.end(),
+              [&](int a, int b) { return std::pair(works[b], a) < std::pair(works[a], b); });
+    std::vector<double> parts;
+    for (const int root : roots) parts.push_back(works[root]);
+    const double time = 2 * (parting + WAKE) + longest(parts, 2) + longest(parts, 4);
+    if (time < least)
+    {
+      least = time;
+      best = roots;
+    }
+    const int heaviest = roots.front();
+    parting += panels[heaviest].size();
+    roots.erase(roots.begin());
+    roots.insert(roots.end(), children[heaviest].begin(), children[heaviest].end());
+  }
+  return best;
+}
 }  // namespace
 
 SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField& positions)
@@ -96,7 +249,8 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   };
   place();
 
-  // Elimination tree (Liu 1990), then its postorder, which keeps supernodes together.
+  // Elimination tree (Liu 1990), then its postorder, which keeps supernodes
+  // together.
   std::vector<int> parent(n, -1), ancestor(n, -1);
   for (int i = 0; i < n; ++i)
   {
@@ -159,18 +313,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   }
 
   // Supernodes: columns join the next where that adds few zeros.
-  struct Columns
-  {
-    int begin, end;
-    std::vector<int> rows;
-    double zeros;
-    double size() const
-    {
-      const double w = end - begin;
-      return w * (w + 1) / 2 + w * static_cast<double>(rows.size());
-    }
-  };
-  constexpr int MOST_COLUMNS = 24;
+  constexpr int MOST_COLUMNS = 32;
   std::vector<Columns> panels;
   for (int j = 0; j < n; ++j)
   {
@@ -183,12 +326,56 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
       Columns merged{before.begin, last.end, last.rows, 0};
       merged.zeros = merged.size() - (before.size() - before.zeros) - (last.size() - last.zeros);
       const int width = merged.end - merged.begin;
-      const double allowed = width <= 4 ? 0.6 : width <= 16 ? 0.2 : 0.05;
+      const double allowed = width <= 4 ? 0.7 : width <= 16 ? 0.3 : 0.1;
       if (merged.zeros > allowed * merged.size()) break;
       panels.pop_back();
       panels.back() = std::move(merged);
     }
   }
+
+  // Subtrees first, then the supernodes that part them.
+  std::vector<int> counts;
+  std::vector<Columns> sequence;
+  moved.clear();
+  const auto put = [&](Columns& panel) {
+    const int begin = static_cast<int>(moved.size());
+    for (int j = panel.begin; j < panel.end; ++j)
+    {
+      renumber[j] = static_cast<int>(moved.size());
+      moved.push_back(order_[j]);
+    }
+    sequence.push_back({begin, static_cast<int>(moved.size()), std::move(panel.rows), 0});
+    panel.begin = panel.end;
+  };
+  for (const int root : partingRoots(panels, counts))
+  {
+    Piece piece{static_cast<int>(moved.size()), 0, static_cast<int>(sequence.size()), 0};
+    for (int p = root + 1 - counts[root]; p <= root; ++p) put(panels[p]);
+    piece.columns_end = static_cast<int>(moved.size());
+    piece.supernodes_end = static_cast<int>(sequence.size());
+    pieces_.push_back(piece);
+  }
+  parting_column_ = static_cast<int>(moved.size());
+  parting_supernode_ = static_cast<int>(sequence.size());
+  for (Columns& panel : panels)
+  {
+    if (panel.begin < panel.end) put(panel);
+  }
+  panels = std::move(sequence);
+  // Ancestors stay in their order, so that rows do.
+  for (Columns& panel : panels)
+  {
+    for (int& row : panel.rows) row = renumber[row];
+  }
+  order_ = std::move(moved);
+  place();
+  // Threads take pieces from either end: the heaviest first, the light one in
+  // the middle.
+  const int subtrees = static_cast<int>(pieces_.size());
+  const std::vector<Piece> by_weight = std::move(pieces_);
+  pieces_.assign(subtrees + 1, {parting_column_, n, parting_supernode_, parting_supernode_});
+  for (int k = 0; k < subtrees; ++k) pieces_[k % 2 == 0 ? k / 2 : subtrees - k / 2] = by_weight[k];
+
   std::size_t values = 0, most_update = 0;
   int most_rows = 0, widest = 0;
   for (const Columns& p : panels) widest = std::max(widest, p.end - p.begin);
@@ -198,8 +385,10 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
     supernodes_.push_back({p.begin, p.end, static_cast<int>(rows_.size()), count, values});
     rows_.insert(rows_.end(), p.rows.begin(), p.rows.end());
     values += 3 * static_cast<std::size_t>(stride(p.end - p.begin + count)) * (p.end - p.begin);
+    for (int j = 0; j < 3 * (p.end - p.begin); ++j) size_ += stride(p.end - p.begin + count) - j / LANES * LANES;
     most_rows = std::max(most_rows, p.end - p.begin + count);
-    // An update of another supernode, or the panel itself with its diagonal block inverted.
+    // An update of another supernode, or the panel itself with its diagonal
+    // block inverted.
     const std::size_t size = 9 * static_cast<std::size_t>(p.end - p.begin) * (p.end - p.begin + count);
     most_update = std::max({most_update, 9 * static_cast<std::size_t>(count) * std::min(count, widest), size});
     supernode_of_.insert(supernode_of_.end(), p.end - p.begin, static_cast<int>(supernodes_.size()) - 1);
@@ -208,9 +397,23 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   local_.resize(n);
   for (std::vector<int>* list : {&head_, &next_, &done_}) list->resize(supernodes_.size());
   values_.resize(values);
-  work_.resize(3 * static_cast<std::size_t>(n) + 16);
-  gathered_.resize(stride(most_rows));
-  product_.resize(std::max(stride(most_rows), 3 * widest));
+  product_size_ = stride(std::max(most_rows, widest));
+  products_.resize(product_size_ * pieces_.size());
+  sums_begin_ = stride(n);
+  sums_size_ = stride(n - parting_column_);
+  work_.resize(sums_begin_ + sums_size_ * pieces_.size());
+  for (const int row : rows_) sums_.push_back(3 * row);
+  for (std::size_t k = 0; k < pieces_.size(); ++k)
+  {
+    const int sums = sums_begin_ + sums_size_ * static_cast<int>(k);
+    for (int s = pieces_[k].supernodes_begin; s < pieces_[k].supernodes_end; ++s)
+    {
+      for (int r = supernodes_[s].rows_begin; r < supernodes_[s].rows_begin + supernodes_[s].rows_count; ++r)
+      {
+        if (rows_[r] >= parting_column_) sums_[r] = sums + 3 * (rows_[r] - parting_column_);
+      }
+    }
+  }
 }
 
 double SparseCholesky::work() const
@@ -314,45 +517,91 @@ void SparseCholesky::invertDiagonal()
 
 void SparseCholesky::solve(const float* b, float* x)
 {
-  const kernels::Table& kernel = kernels::table();
-  const int n = static_cast<int>(order_.size());
-  for (int k = 0; k < n; ++k)
+  solve(
+      1,
+      [&](int begin, int end, float* to) {
+        for (int k = begin; k < end; ++k, to += 3)
+        {
+          for (int axis = 0; axis < 3; ++axis) to[axis] = b[4L * order_[k] + axis];
+        }
+      },
+      [&](int begin, int end, const float* from) {
+        for (int k = begin; k < end; ++k, from += 3)
+        {
+          for (int axis = 0; axis < 3; ++axis) x[4L * order_[k] + axis] = from[axis];
+          x[4L * order_[k] + 3] = 0;
+        }
+      });
+}
+
+void SparseCholesky::solve(int threads, const Read& read, const Write& write)
+{
+  const int pieces = static_cast<int>(pieces_.size()), supernodes = static_cast<int>(supernodes_.size());
+  float* parting = work_.data() + 3L * parting_column_;
+  const std::ptrdiff_t parted = 3 * (static_cast<std::ptrdiff_t>(order_.size()) - parting_column_);
+  const auto sumsOf = [&](int piece) {
+    return work_.data() + sums_begin_ + static_cast<std::ptrdiff_t>(sums_size_) * piece;
+  };
+  forEachPiece(threads, pieces, [&](int k) {
+    const Piece& piece = pieces_[k];
+    std::fill_n(sumsOf(k), parted, 0.0f);
+    read(piece.columns_begin, piece.columns_end, work_.data() + 3L * piece.columns_begin);
+    forward(piece.supernodes_begin, piece.supernodes_end, products_.data() + product_size_ * k);
+  });
+  for (int k = 0; k < pieces; ++k)
   {
-    for (int axis = 0; axis < 3; ++axis) work_[3L * k + axis] = b[4L * order_[k] + axis];
+    const float* sums = sumsOf(k);
+    for (std::ptrdiff_t i = 0; i < parted; ++i) parting[i] += sums[i];
   }
-  for (const Supernode& node : supernodes_)
+  forward(parting_supernode_, supernodes, products_.data());
+  backward(parting_supernode_, supernodes, products_.data());
+  forEachPiece(threads, pieces, [&](int claimed) {
+    // One thread goes back the way it came, as the caches have what it had
+    // last.
+    const int k = threads == 1 ? pieces - 1 - claimed : claimed;
+    const Piece& piece = pieces_[k];
+    backward(piece.supernodes_begin, piece.supernodes_end, products_.data() + product_size_ * k);
+    write(piece.columns_begin, piece.columns_end, work_.data() + 3L * piece.columns_begin);
+  });
+}
+
+void SparseCholesky::forward(int begin, int end, float* product)
+{
+  const kernels::Table& kernel = kernels::table();
+  for (int s = begin; s < end; ++s)
   {
+    const Supernode& node = supernodes_[s];
     const int width = node.end - node.begin;
     float* own = work_.data() + 3L * node.begin;
-    kernel.panel_product(stride(width + node.rows_count), 3 * width, values_.data() + node.values, own,
-                         product_.data());
-    std::copy_n(product_.data(), 3 * width, own);
-    const float* below = product_.data() + 3L * width;
+    kernel.panel_product(stride(width + node.rows_count), 3 * width, values_.data() + node.values, own, product);
+    std::copy_n(product, 3 * width, own);
+    const float* below = product + 3L * width;
+    const int* sums = sums_.data() + node.rows_begin;
     for (int k = 0; k < node.rows_count; ++k)
     {
-      float* to = work_.data() + 3L * rows_[node.rows_begin + k];
-      for (int axis = 0; axis < 3; ++axis) to[axis] -= below[3L * k + axis];
+      float* sum = work_.data() + sums[k];
+      for (int axis = 0; axis < 3; ++axis) sum[axis] -= below[3L * k + axis];
     }
   }
-  for (auto s = supernodes_.rbegin(); s != supernodes_.rend(); ++s)
+}
+
+void SparseCholesky::backward(int begin, int end, float* gathered)
+{
+  const kernels::Table& kernel = kernels::table();
+  for (int s = end - 1; s >= begin; --s)
   {
-    const Supernode& node = *s;
+    const Supernode& node = supernodes_[s];
     const int width = node.end - node.begin, height = width + node.rows_count;
     float* own = work_.data() + 3L * node.begin;
-    std::copy_n(own, 3 * width, gathered_.data());
-    float* below = gathered_.data() + 3L * width;
+    std::copy_n(own, 3 * width, gathered);
+    float* below = gathered + 3L * width;
     for (int k = 0; k < node.rows_count; ++k)
     {
       const float* from = work_.data() + 3L * rows_[node.rows_begin + k];
       for (int axis = 0; axis < 3; ++axis) below[3L * k + axis] = -from[axis];
     }
-    std::fill(gathered_.begin() + 3L * height, gathered_.begin() + stride(height), 0.0f);
-    kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered_.data(), own);
-  }
-  for (int k = 0; k < n; ++k)
-  {
-    for (int axis = 0; axis < 3; ++axis) x[4L * order_[k] + axis] = work_[3L * k + axis];
-    x[4L * order_[k] + 3] = 0;
+    std::fill(gathered + 3L * height, gathered + stride(height), 0.0f);
+    kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered, own);
   }
 }
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <vector>
 
 #include "bezier_fem/assembled_matrix.h"
@@ -11,7 +12,9 @@ namespace bezier_fem
 /**
  * A = L L^T of a symmetric positive definite matrix of 3x3 blocks, in single precision: made to precondition. Nodes are
  * put in order by nested dissection of their positions; columns of like structure are kept as dense panels
- * (supernodes; Ng and Peyton 1993, "Block sparse Cholesky algorithms on advanced uniprocessor computers").
+ * (supernodes; Ng and Peyton 1993, "Block sparse Cholesky algorithms on advanced uniprocessor computers"). Subtrees of
+ * the elimination tree that have nothing to do with each other are solved at the same time, as many for any number of
+ * threads: what they add to the rows of those that part them is summed up in their order.
  */
 class SparseCholesky
 {
@@ -27,14 +30,22 @@ public:
 
   /** x = A^-1 b; 4 floats a row: x, y, z and one that is not looked at. */
   void solve(const float* b, float* x);
+  /** Of rows [begin, end) in the order of elimination, order()[k] of the matrix: 3 floats each. */
+  using Read = std::function<void(int begin, int end, float* b)>;
+  using Write = std::function<void(int begin, int end, const float* x)>;
+  /** The same of sides of any form, by several threads: `read` fills in b, `write` is given x. */
+  void solve(int threads, const Read& read, const Write& write);
+  const std::vector<int>& order() const { return order_; }
 
-  /** Numbers in the factor, each of which a solve reads twice. */
-  std::size_t size() const { return values_.size(); }
+  /** Numbers of the factor, and of what fills up registers, each of which a solve reads twice. */
+  std::size_t size() const { return size_; }
   /** Multiplications in factor(). */
   double work() const;
 
 private:
   void invertDiagonal();
+  void forward(int begin, int end, float* product);
+  void backward(int begin, int end, float* gathered);
 
   struct Supernode
   {
@@ -44,12 +55,26 @@ private:
     // Of values_, column-major: L_11^-1 of its own columns, and below it L_21 L_11^-1, so that a solve is products.
     std::size_t values;
   };
-  std::vector<int> order_;     // new -> old
-  std::vector<int> position_;  // old -> new
+  /** A subtree; or, without supernodes, the columns that part the subtrees from each other, which are the last. */
+  struct Piece
+  {
+    int columns_begin, columns_end, supernodes_begin, supernodes_end;
+  };
+  std::vector<Piece> pieces_;
+  int parting_column_ = 0, parting_supernode_ = 0;  // the first ones
+  std::vector<int> order_;                          // new -> old
+  std::vector<int> position_;                       // old -> new
   std::vector<Supernode> supernodes_;
   std::vector<int> rows_;
+  std::vector<int> sums_;  // of work_, for each of rows_: where a solve sums up what it takes off that row
   AlignedVector<float> values_;
-  AlignedVector<float> work_, gathered_, product_, update_;     // scratch
+  std::size_t size_ = 0;
+  // Scratch: 3 floats a column, then the sums of each piece for the columns that part it from others
+  AlignedVector<float> work_;
+  int sums_begin_ = 0, sums_size_ = 0;
+  AlignedVector<float> products_;  // scratch of each piece
+  std::ptrdiff_t product_size_ = 0;
+  AlignedVector<float> update_;                                 // scratch
   std::vector<int> local_, head_, next_, done_, supernode_of_;  // scratch, but for the last
 };
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 
 #include "bezier_fem/assembled_system.h"
@@ -17,7 +18,7 @@ class TurnedFactor
 {
 public:
   /** Keeps a reference to the model. */
-  explicit TurnedFactor(const Model& model);
+  TurnedFactor(const Model& model, int threads);
 
   /** Whether the last factor() was for these. */
   bool isOf(const HeldAxes& held, double alpha, double beta) const
@@ -48,16 +49,19 @@ public:
   /** Turns the frames to the present rotations. */
   void turn(const Rotations& rotations);
 
-  /** A right-hand side to be filled in, 4 floats a node; what it has in held components is not looked at. */
+  /** A right-hand side, 4 floats a node; what it has in held components is not looked at. */
   float* right() { return right_.data(); }
+  /** Fills in the right-hand side of some nodes; of different ones at the same time. */
+  using Fill = std::function<void(const int* nodes, int count)>;
   /** About A^-1 right on the free components, 0 on the held ones; 4 floats a node. */
-  const float* solve();
+  const float* solve(const Fill& fill);
 
   const SparseCholesky& cholesky() const { return cholesky_; }
 
 private:
-  void meanRotations(const Rotations& rotations, AlignedVector<float>& frames) const;
-  void clearHeld(float* field) const;
+  bool takeRotations(const Rotations& rotations);
+  template <class F>
+  void forEachNode(const F& f) const;
 
   const Model& model_;
   Partition partition_;
@@ -66,10 +70,13 @@ private:
   bool valid_ = false;
   double alpha_ = 0, beta_ = 0;
   HeldAxes held_;
-  int fewest_ = -1, excess_ = 0;     // iterations: with a new factor, and above that since
-  AlignedVector<double> turned_to_;  // Rotations::matrices
-  AlignedVector<float> factored_frames_;
-  AlignedVector<float> frames_;        // 9 a node, by columns
+  int fewest_ = -1, excess_ = 0;    // iterations: with a new factor, and above that since
+  bool turned_ = false;             // to rotations_
+  AlignedVector<float> rotations_;  // of the elements, 4 floats a column, sums where an element has several
+  // Of the nodes in the order of elimination: their elements; and 4 floats a column, the frames when factored, and G
+  // and G^T that turn out of and into these, rows of G zero where held.
+  std::vector<int> elements_begin_, elements_;
+  AlignedVector<float> factored_frames_, frames_;
   AlignedVector<float> right_, left_;  // 4 a node
 };
 

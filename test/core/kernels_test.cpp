@@ -473,7 +473,9 @@ TEST(PanelKernels, AreProductsWithAMatrixAndItsTranspose)
   {
     for (const int columns : {1, 2, 3, 4, 5, 6, 9, 72})
     {
-      const AlignedVector<float> panel = numbers(rows * columns), x = numbers(columns), t = numbers(rows);
+      AlignedVector<float> panel = numbers(rows * columns);
+      const AlignedVector<float> x = numbers(columns), t = numbers(rows);
+      for (int j = 0; j < columns; ++j) std::fill_n(panel.begin() + j * rows, std::min(j, rows), 0.0f);
       const Eigen::MatrixXd L = Eigen::Map<const Eigen::MatrixXf>(panel.data(), rows, columns).cast<double>();
       const Eigen::VectorXd by_x = Eigen::Map<const Eigen::VectorXf>(x.data(), columns).cast<double>();
       const Eigen::VectorXd by_t = Eigen::Map<const Eigen::VectorXf>(t.data(), rows).cast<double>();

@@ -4,6 +4,9 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Geometry>
+#include <limits>
+
 #include "bezier_fem/element_operator.h"
 #include "core/bar.h"
 #include "turned_factor.h"
@@ -207,7 +210,7 @@ TEST(LinearSolve, LinearElasticityFollowsWhateverChangesItsSystem)
 TEST(LinearSolve, AFactorIsRenewedWhenExcessIterationsHavePaidForIt)
 {
   const Model model = test::boxModel(test::irregularBox({1, 1, 2}, {0.4, 0.4, 1.0}), Element::QUADRATIC, STIFF);
-  TurnedFactor factor(model);
+  TurnedFactor factor(model, 1);
   const Rotations rest = restRotations(model);
   const HeldAxes held(model.num_nodes, 0);
   EXPECT_FALSE(factor.valid());
@@ -223,6 +226,79 @@ TEST(LinearSolve, AFactorIsRenewedWhenExcessIterationsHavePaidForIt)
   EXPECT_EQ(factor.patience(10), 4);
   factor.took(4, 10);
   EXPECT_FALSE(factor.valid());
+}
+
+TEST(LinearSolve, AFactorTurnsWithTheBodyAndLeavesOutWhatIsHeld)
+{
+  const Model model = test::boxModel(test::irregularBox({2, 2, 4}, {0.4, 0.4, 1.0}), Element::QUADRATIC, STIFF);
+  const int n = model.num_nodes;
+  const Rotations rest = restRotations(model);
+  const NodalField b = test::randomField(n, 3);
+  const Eigen::Matrix3d Q = Eigen::AngleAxisd(2, Vector3d(1, 2, 3).normalized()).toRotationMatrix();
+  Rotations turned = rest;
+  const auto lanesOf = [&](AlignedVector<double>& blocks, const Eigen::Matrix3d& m, bool columns) {
+    for (std::size_t k = 0; k < blocks.size(); ++k)
+    {
+      const std::size_t entry = k / LANES % 9;
+      const double* from = (columns ? rest.gradients : rest.matrices).data() + (k - entry * LANES);
+      blocks[k] = 0;
+      // Rotations by rows, gradients by columns.
+      for (std::size_t j = 0; j < 3; ++j)
+      {
+        blocks[k] += columns ? m(entry % 3, j) * from[(entry / 3 * 3 + j) * LANES]
+                             : m(entry / 3, j) * from[(3 * j + entry % 3) * LANES];
+      }
+    }
+  };
+  lanesOf(turned.matrices, Q, false);
+  lanesOf(turned.gradients, Q, true);
+
+  for (const bool foot : {false, true})
+  {
+    HeldAxes held(n, 0);
+    for (int i = 0; foot && i < n; ++i) held[i] = model.rest[i].z() < 1e-9 ? i % 8 : 0;
+    TurnedFactor at_rest(model, 1), anew(model, 1);
+    ASSERT_TRUE(at_rest.factor(rest, rest, held, 1, 4e-4));
+    ASSERT_TRUE(anew.factor(turned, turned, held, 1, 4e-4));
+    const auto solve = [&](TurnedFactor& factor, float in_held) {
+      const float* left = factor.solve([&](const int* nodes, int count) {
+        for (int k = 0; k < count; ++k)
+        {
+          const int i = nodes[k];
+          for (int axis = 0; axis < 3; ++axis)
+          {
+            factor.right()[4 * i + axis] = held[i] >> axis & 1 ? in_held : static_cast<float>(b[i][axis]);
+          }
+          factor.right()[4 * i + 3] = in_held;
+        }
+      });
+      return Eigen::MatrixXf(Eigen::Map<const Eigen::MatrixXf>(left, 4, n));
+    };
+    at_rest.turn(turned);
+    anew.turn(turned);
+    const Eigen::MatrixXf expected = solve(anew, 0), served = solve(at_rest, 0);
+    // Turned as a whole, a free body's system is the one at rest, turned.
+    if (!foot)
+    {
+      EXPECT_LT((served - expected).norm(), 1e-4 * expected.norm());
+    }
+    for (TurnedFactor* factor : {&at_rest, &anew})
+    {
+      const Eigen::MatrixXf left = solve(*factor, std::numeric_limits<float>::quiet_NaN());
+      EXPECT_EQ(left, factor == &anew ? expected : served);
+      for (int i = 0; i < n; ++i)
+      {
+        for (int axis = 0; axis < 3; ++axis)
+        {
+          if (held[i] >> axis & 1)
+          {
+            EXPECT_EQ(left(axis, i), 0);
+          }
+        }
+        EXPECT_EQ(left(3, i), 0);
+      }
+    }
+  }
 }
 
 }  // namespace

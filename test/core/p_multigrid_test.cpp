@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <atomic>
 
 #include "bezier_fem/conjugate_gradient.h"
 #include "bezier_fem/step.h"
@@ -193,7 +194,7 @@ TEST_P(Multigrid, FollowsANewMaterial)
 
 TEST_P(Multigrid, TheWholeSystemsFactorIsItsInverseAndServesTurnedOnes)
 {
-  DirectPreconditioner direct(model);
+  DirectPreconditioner direct(model, partition.threads());
   NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes), expected(model.num_nodes);
   const auto solve = [&](const Rotations& at, double alpha, double beta, Preconditioner* preconditioner) {
     const MatrixFreeSystem<Rotations> system(model, partition, at, alpha, beta);
@@ -234,7 +235,7 @@ TEST_P(Multigrid, AFactorIsOfAScrambledBodyToo)
   updateRotations(model, partition, x, before, rotations, turned);
   const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
   ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
-  DirectPreconditioner direct(model);
+  DirectPreconditioner direct(model, partition.threads());
   ASSERT_TRUE(direct.prepare(model, rotations, held, 1, 4e-4, solver.inverse()));
   NodalField b = test::randomField(model.num_nodes, 3), u(model.num_nodes);
   const SolveReport report = solver.solve(system, partition, b, u, 1e-6, 1000, &direct);
@@ -317,6 +318,49 @@ TEST_P(Cholesky, SolvesLikeADenseFactor)
   // Not positive definite: said, not solved.
   FusedAssembler(model, matrix).assemble(model, partition, restRotations(model), -1, 4e-4, matrix);
   EXPECT_FALSE(cholesky.factor(matrix));
+}
+
+TEST_P(Cholesky, IsTheSameForAnyNumberOfThreads)
+{
+  const Model model = test::boxModel(test::irregularBox({6, 6, 12}, {0.4, 0.4, 1.0}), GetParam(), STIFF);
+  AssembledMatrix matrix(model);
+  FusedAssembler(model, matrix).assemble(model, Partition(model, 1), restRotations(model), 1, 4e-4, matrix);
+  SparseCholesky cholesky(matrix, model.rest);
+  ASSERT_TRUE(cholesky.factor(matrix));
+  const int n = model.num_nodes;
+  const NodalField b = test::randomField(n, 4);
+  const auto solve = [&](int threads, std::atomic<int>& parts) {
+    NodalField x(n);
+    cholesky.solve(
+        threads,
+        [&](int begin, int end, float* to) {
+          ++parts;
+          for (int k = begin; k < end; ++k)
+          {
+            for (int axis = 0; axis < 3; ++axis) *to++ = static_cast<float>(b[cholesky.order()[k]][axis]);
+          }
+        },
+        [&](int begin, int end, const float* from) {
+          for (int k = begin; k < end; ++k, from += 3)
+          {
+            x[cholesky.order()[k]] = Eigen::Map<const Eigen::Vector3f>(from).cast<double>();
+          }
+        });
+    return x;
+  };
+  std::atomic<int> parts = 0, others = 0;
+  const NodalField x = solve(1, parts);
+  EXPECT_GE(parts, 3);  // or there is nothing to be done at the same time
+  NodalField product(n);
+  matrix.product(Partition(model, 1), x, product);
+  EXPECT_LT((product.matrix() - b.matrix()).norm(), 1e-3 * b.matrix().norm());
+  for (const int threads : {2, 3, 8})
+  {
+    for (int repeat = 0; repeat < 10; ++repeat)
+    {
+      EXPECT_EQ((solve(threads, others).matrix() - x.matrix()).cwiseAbs().maxCoeff(), 0);
+    }
+  }
 }
 
 }  // namespace
