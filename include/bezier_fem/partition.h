@@ -20,7 +20,7 @@ public:
   Partition(const Model& model, int threads);
 
   /** Nodes of a chunk: whole cache lines of any field, so that no two threads write to one. */
-  static constexpr int CHUNK = 256;
+  static constexpr int CHUNK = 64;
 
   int threads() const { return threads_; }
   int pieces() const { return static_cast<int>(block_begin_.size()) - 1; }

@@ -82,7 +82,7 @@ void numberNodes(const TetMesh& mesh, const std::vector<int>& order, Model& mode
   // Near their elements in the order of those, so that whoever works on a part of the elements finds much of what their
   // nodes need in his core's cache; and of neighbours those with many elements first: what is done for several nodes at
   // a time takes as long as for the one with the most.
-  constexpr int NEIGHBOURS = 256;
+  constexpr int NEIGHBOURS = 64;
   std::vector<int> elements(model.num_nodes, 0), old(model.num_nodes), place(model.num_nodes);
   std::vector<double> middle(model.num_nodes, 0);
   for (std::size_t k = 0; k < model.tets.size(); ++k)

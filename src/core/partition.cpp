@@ -9,13 +9,19 @@ namespace bezier_fem
 Partition::Partition(const Model& model, int threads)
     : num_nodes_(model.num_nodes), threads_(std::clamp(threads, 1, model.num_blocks))
 {
-  static_assert(CHUNK % kernels::NODE_GROUP == 0, "chunks are whole groups");
+  constexpr int GROUP = kernels::NODE_GROUP;
+  static_assert(CHUNK % GROUP == 0, "chunks are whole groups");
   constexpr int PIECES = 4;  // of a thread
   const int pieces = threads_ == 1 ? 1 : std::min(PIECES * threads_, model.num_blocks);
+  // Nodes are numbered near their elements: as many shares as a piece's elements have belong to about its nodes.
+  const auto steps = [&](int chunk) { return model.share_begin[(firstOf(chunk) + GROUP - 1) / GROUP]; };
+  int chunk = 0;
   for (int t = 0; t <= pieces; ++t)
   {
     block_begin_.push_back(static_cast<int>(static_cast<long>(model.num_blocks) * t / pieces));
-    chunk_begin_.push_back(static_cast<int>(static_cast<long>(numChunks()) * t / pieces));
+    const double wanted = static_cast<double>(steps(numChunks())) * t / pieces;
+    while (chunk < numChunks() && (steps(chunk) + steps(chunk + 1)) / 2.0 < wanted) ++chunk;
+    chunk_begin_.push_back(t == pieces ? numChunks() : chunk);
   }
   // Diagonals have two rows a node.
   shares_.resize(2 * kernels::SHARES *
