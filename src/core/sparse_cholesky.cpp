@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <numeric>
 
 #include "kernels.h"
@@ -22,12 +23,20 @@ int stride(int rows)
   return (3 * rows + LANES - 1) / LANES * LANES;
 }
 
-/** Nested dissection by planes (George 1973): halves of a set of nodes first, then the nodes that part them. */
+/**
+ * Nested dissection by planes (George 1973): two parts of a set of nodes first, then the nodes that part them. These
+ * are as few as there can be for a plane: a least cover of the edges across it, from a largest matching (Koenig's
+ * theorem).
+ */
 class Dissection
 {
 public:
   Dissection(const AssembledMatrix& pattern, const NodalField& positions)
-      : pattern_(pattern), positions_(positions), side_(pattern.rows(), -1)
+      : pattern_(pattern),
+        positions_(positions),
+        side_(pattern.rows(), NONE),
+        match_(pattern.rows()),
+        seen_(pattern.rows())
   {
     std::vector<int> all(pattern.rows());
     std::iota(all.begin(), all.end(), 0);
@@ -37,32 +46,36 @@ public:
   const std::vector<int>& order() const { return order_; }
 
 private:
+  static constexpr int NONE = -1;
+
   void dissect(std::vector<int> nodes)
   {
-    constexpr std::size_t LEAF = 24;
+    constexpr std::size_t LEAF = 12;
     if (nodes.size() <= LEAF)
     {
       order_.insert(order_.end(), nodes.begin(), nodes.end());
       return;
     }
-    std::array<std::vector<int>, 3> best;  // two halves and what parts them
+    std::array<std::vector<int>, 3> best;  // two parts and what parts them
+    double least = std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis)
     {
-      const auto middle = nodes.begin() + static_cast<std::ptrdiff_t>(nodes.size() / 2);
-      std::nth_element(nodes.begin(), middle, nodes.end(), [&](int a, int b) {
-        return std::pair(positions_[a][axis], a) < std::pair(positions_[b][axis], b);
-      });
-      for (auto i = nodes.begin(); i != nodes.end(); ++i) side_[*i] = i < middle ? 0 : 1;
-      // Of the nodes on either side that touch the other, the fewer.
-      for (int cut = 0; cut < 2; ++cut)
+      std::sort(nodes.begin(), nodes.end(),
+                [&](int a, int b) { return std::pair(positions_[a][axis], a) < std::pair(positions_[b][axis], b); });
+      for (const double share : {0.4, 0.45, 0.5, 0.55, 0.6})
       {
-        std::array<std::vector<int>, 3> parts;
-        for (const int i : nodes) parts[side_[i] == cut && touches(i, 1 - cut) ? 2 : side_[i]].push_back(i);
-        if (best[2].empty() || parts[2].size() < best[2].size()) best = std::move(parts);
+        std::array<std::vector<int>, 3> parts =
+            part(nodes, static_cast<std::size_t>(share * static_cast<double>(nodes.size())));
+        // Few nodes part well, and even parts do.
+        const auto a = static_cast<double>(parts[0].size()), b = static_cast<double>(parts[1].size());
+        const double uneven = (a - b) / (a + b),
+                     cost = static_cast<double>(parts[2].size()) * (1 + 2 * uneven * uneven);
+        if (a == 0 || b == 0 || cost >= least) continue;
+        least = cost;
+        best = std::move(parts);
       }
     }
-    for (const int i : nodes) side_[i] = -1;
-    if (best[0].empty() || best[1].empty())
+    if (best[0].empty())
     {
       order_.insert(order_.end(), nodes.begin(), nodes.end());
       return;
@@ -72,18 +85,75 @@ private:
     order_.insert(order_.end(), best[2].begin(), best[2].end());
   }
 
-  bool touches(int node, int side) const
+  /** Of the first so many nodes and of the others what is left, and as few as can be that part the two. */
+  std::array<std::vector<int>, 3> part(const std::vector<int>& nodes, std::size_t first)
+  {
+    for (std::size_t k = 0; k < nodes.size(); ++k)
+    {
+      side_[nodes[k]] = k < first ? 0 : 1;
+      match_[nodes[k]] = NONE;
+    }
+    // A largest matching across the plane; then all that alternating paths reach from the first side's free nodes.
+    for (bool more = true; more;)
+    {
+      ++walk_;
+      more = false;
+      for (std::size_t k = 0; k < first; ++k) more = (match_[nodes[k]] == NONE && augment(nodes[k])) || more;
+    }
+    ++walk_;
+    for (std::size_t k = 0; k < first; ++k)
+    {
+      if (match_[nodes[k]] == NONE) reach(nodes[k]);
+    }
+    std::array<std::vector<int>, 3> parts;
+    for (const int i : nodes)
+    {
+      const bool reached = seen_[i] == walk_;
+      const bool parting = side_[i] == 0 ? match_[i] != NONE && !reached : reached;
+      parts[parting ? 2 : side_[i]].push_back(i);
+    }
+    for (const int i : nodes) side_[i] = NONE;
+    return parts;
+  }
+
+  /** Whether f is true of one of the other side's nodes that a node touches and that this walk has not come by. */
+  template <class F>
+  bool anyAcross(int node, const F& f)
   {
     for (int k = pattern_.rowBegin()[node]; k < pattern_.rowBegin()[node + 1]; ++k)
     {
-      if (side_[pattern_.column()[k]] == side) return true;
+      const int other = pattern_.column()[k];
+      if (side_[other] != 1 || seen_[other] == walk_) continue;
+      seen_[other] = walk_;
+      if (f(other)) return true;
     }
     return false;
   }
 
+  /** Matches a node of the first side, and others anew where they are in its way. */
+  bool augment(int node)
+  {
+    return anyAcross(node, [&](int other) {
+      if (match_[other] != NONE && !augment(match_[other])) return false;
+      match_[other] = node;
+      match_[node] = other;
+      return true;
+    });
+  }
+
+  void reach(int node)
+  {
+    seen_[node] = walk_;
+    anyAcross(node, [&](int other) {
+      if (seen_[match_[other]] != walk_) reach(match_[other]);
+      return false;
+    });
+  }
+
   const AssembledMatrix& pattern_;
   const NodalField& positions_;
-  std::vector<int> side_;
+  std::vector<int> side_, match_, seen_;
+  int walk_ = 0;
   std::vector<int> order_;
 };
 
@@ -100,7 +170,7 @@ struct Columns
   }
 };
 
-/** How long work takes that so many threads do at the same time, each taking what is the most that is left. */
+/** How long the parts of some work take so many threads, each taking the longest that is left. */
 double longest(std::vector<double> works, int threads)
 {
   std::sort(works.rbegin(), works.rend());
@@ -110,14 +180,14 @@ double longest(std::vector<double> works, int threads)
 }
 
 /**
- * The roots of the subtrees to be solved at the same time, so that two threads and four have little to wait for; the
+ * The roots of the subtrees to be solved at the same time, so that two threads and four take little time in all; the
  * heaviest first, none where it is not worth it.
  * @param panels  in postorder, so that a subtree is so many up to its root
  * @param counts  set to how many
  */
 std::vector<int> partingRoots(const std::vector<Columns>& panels, std::vector<int>& counts)
 {
-  constexpr double WAKE = 3000;  // blocks that one thread multiplies by until the others are there, and back
+  constexpr double WAKE = 3000;  // blocks that a thread multiplies by while it waits for others to begin and to end
   constexpr int MOST_SPLITS = 24;
   const int n = static_cast<int>(panels.size());
   std::vector<int> panel_of;
@@ -235,7 +305,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   }
 
   // Supernodes: columns join the next where that adds few zeros.
-  constexpr int MOST_COLUMNS = 24;
+  constexpr int MOST_COLUMNS = 32;
   std::vector<Columns> panels;
   for (int j = 0; j < n; ++j)
   {
@@ -248,7 +318,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
       Columns merged{before.begin, last.end, last.rows, 0};
       merged.zeros = merged.size() - (before.size() - before.zeros) - (last.size() - last.zeros);
       const int width = merged.end - merged.begin;
-      const double allowed = width <= 4 ? 0.6 : width <= 16 ? 0.2 : 0.05;
+      const double allowed = width <= 4 ? 0.7 : width <= 16 ? 0.3 : 0.1;
       if (merged.zeros > allowed * merged.size()) break;
       panels.pop_back();
       panels.back() = std::move(merged);
