@@ -17,6 +17,20 @@ namespace
 {
 using Panel = Eigen::Map<Eigen::MatrixXf, Eigen::Aligned64, Eigen::OuterStride<>>;
 
+/** Four numbers of which the last is not looked at. */
+using Node = float __attribute__((vector_size(16)));
+using PackedNode = float __attribute__((vector_size(16), aligned(4)));
+
+Node& nodeAt(float* nodes, std::ptrdiff_t i)
+{
+  return *reinterpret_cast<Node*>(nodes + 4 * i);
+}
+/** Among nodes of three numbers: its fourth is the next one's first. */
+PackedNode& packedAt(float* nodes, std::ptrdiff_t i)
+{
+  return *reinterpret_cast<PackedNode*>(nodes + 3 * i);
+}
+
 /** Rows of a panel in memory: whole registers of any width. */
 int stride(int rows)
 {
@@ -387,20 +401,20 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   local_.resize(n);
   for (std::vector<int>* list : {&head_, &next_, &done_}) list->resize(supernodes_.size());
   values_.resize(values);
-  product_size_ = stride(std::max(most_rows, widest));
-  products_.resize(product_size_ * pieces_.size());
-  sums_begin_ = stride(n);
-  sums_size_ = stride(n - parting_column_);
-  work_.resize(sums_begin_ + sums_size_ * pieces_.size());
-  for (const int row : rows_) sums_.push_back(3 * row);
+  // Of the tallest panel, then of its columns; whole nodes are read and written, that is a number more.
+  packed_begin_ = stride(most_rows) + LANES;
+  packed_size_ = packed_begin_ + stride(widest) + LANES;
+  packed_.resize(packed_size_ * pieces_.size());
+  work_.resize(4 * (static_cast<std::size_t>(n) + (n - parting_column_) * pieces_.size()));
+  sums_ = rows_;
   for (std::size_t k = 0; k < pieces_.size(); ++k)
   {
-    const int sums = sums_begin_ + sums_size_ * static_cast<int>(k);
+    const int sums = n + (n - parting_column_) * static_cast<int>(k);
     for (int s = pieces_[k].supernodes_begin; s < pieces_[k].supernodes_end; ++s)
     {
       for (int r = supernodes_[s].rows_begin; r < supernodes_[s].rows_begin + supernodes_[s].rows_count; ++r)
       {
-        if (rows_[r] >= parting_column_) sums_[r] = sums + 3 * (rows_[r] - parting_column_);
+        if (rows_[r] >= parting_column_) sums_[r] = sums + rows_[r] - parting_column_;
       }
     }
   }
@@ -510,13 +524,13 @@ void SparseCholesky::solve(const float* b, float* x)
   solve(
       1,
       [&](int begin, int end, float* to) {
-        for (int k = begin; k < end; ++k, to += 3)
+        for (int k = begin; k < end; ++k)
         {
-          for (int axis = 0; axis < 3; ++axis) to[axis] = b[4L * order_[k] + axis];
+          for (int axis = 0; axis < 4; ++axis) *to++ = b[4L * order_[k] + axis];
         }
       },
       [&](int begin, int end, const float* from) {
-        for (int k = begin; k < end; ++k, from += 3)
+        for (int k = begin; k < end; ++k, from += 4)
         {
           for (int axis = 0; axis < 3; ++axis) x[4L * order_[k] + axis] = from[axis];
           x[4L * order_[k] + 3] = 0;
@@ -527,70 +541,64 @@ void SparseCholesky::solve(const float* b, float* x)
 void SparseCholesky::solve(int threads, const Read& read, const Write& write)
 {
   const int pieces = static_cast<int>(pieces_.size()), supernodes = static_cast<int>(supernodes_.size());
-  float* parting = work_.data() + 3L * parting_column_;
-  const std::ptrdiff_t parted = 3 * (static_cast<std::ptrdiff_t>(order_.size()) - parting_column_);
-  const auto sumsOf = [&](int piece) {
-    return work_.data() + sums_begin_ + static_cast<std::ptrdiff_t>(sums_size_) * piece;
-  };
+  const std::ptrdiff_t columns = static_cast<std::ptrdiff_t>(order_.size()), parted = columns - parting_column_;
+  const auto sumsOf = [&](int piece) { return work_.data() + 4 * (columns + parted * piece); };
   forEachPiece(threads, pieces, [&](int k) {
     const Piece& piece = pieces_[k];
-    std::fill_n(sumsOf(k), parted, 0.0f);
-    read(piece.columns_begin, piece.columns_end, work_.data() + 3L * piece.columns_begin);
-    forward(piece.supernodes_begin, piece.supernodes_end, products_.data() + product_size_ * k);
+    std::fill_n(sumsOf(k), 4 * parted, 0.0f);
+    read(piece.columns_begin, piece.columns_end, work_.data() + 4L * piece.columns_begin);
+    forward(piece.supernodes_begin, piece.supernodes_end, packed_.data() + packed_size_ * k);
   });
+  float* parting = work_.data() + 4L * parting_column_;
   for (int k = 0; k < pieces; ++k)
   {
     const float* sums = sumsOf(k);
-    for (std::ptrdiff_t i = 0; i < parted; ++i) parting[i] += sums[i];
+    for (std::ptrdiff_t i = 0; i < 4 * parted; ++i) parting[i] += sums[i];
   }
-  forward(parting_supernode_, supernodes, products_.data());
-  backward(parting_supernode_, supernodes, products_.data());
+  forward(parting_supernode_, supernodes, packed_.data());
+  backward(parting_supernode_, supernodes, packed_.data());
   forEachPiece(threads, pieces, [&](int claimed) {
     // One thread goes back the way it came, as the caches have what it had last.
     const int k = threads == 1 ? pieces - 1 - claimed : claimed;
     const Piece& piece = pieces_[k];
-    backward(piece.supernodes_begin, piece.supernodes_end, products_.data() + product_size_ * k);
-    write(piece.columns_begin, piece.columns_end, work_.data() + 3L * piece.columns_begin);
+    backward(piece.supernodes_begin, piece.supernodes_end, packed_.data() + packed_size_ * k);
+    write(piece.columns_begin, piece.columns_end, work_.data() + 4L * piece.columns_begin);
   });
 }
 
-void SparseCholesky::forward(int begin, int end, float* product)
+/** @param packed  scratch of a piece: 3 numbers a node, each node's written before the next one's */
+void SparseCholesky::forward(int begin, int end, float* packed)
 {
   const kernels::Table& kernel = kernels::table();
+  float *product = packed, *columns = packed + packed_begin_;
   for (int s = begin; s < end; ++s)
   {
     const Supernode& node = supernodes_[s];
     const int width = node.end - node.begin;
-    float* own = work_.data() + 3L * node.begin;
-    kernel.panel_product(stride(width + node.rows_count), 3 * width, values_.data() + node.values, own, product);
-    std::copy_n(product, 3 * width, own);
-    const float* below = product + 3L * width;
+    float* own = work_.data() + 4L * node.begin;
+    for (int j = 0; j < width; ++j) packedAt(columns, j) = nodeAt(own, j);
+    kernel.panel_product(stride(width + node.rows_count), 3 * width, values_.data() + node.values, columns, product);
+    for (int j = 0; j < width; ++j) nodeAt(own, j) = packedAt(product, j);
     const int* sums = sums_.data() + node.rows_begin;
-    for (int k = 0; k < node.rows_count; ++k)
-    {
-      float* sum = work_.data() + sums[k];
-      for (int axis = 0; axis < 3; ++axis) sum[axis] -= below[3L * k + axis];
-    }
+    for (int k = 0; k < node.rows_count; ++k) nodeAt(work_.data(), sums[k]) -= packedAt(product, width + k);
   }
 }
 
-void SparseCholesky::backward(int begin, int end, float* gathered)
+void SparseCholesky::backward(int begin, int end, float* packed)
 {
   const kernels::Table& kernel = kernels::table();
+  float *gathered = packed, *columns = packed + packed_begin_;
   for (int s = end - 1; s >= begin; --s)
   {
     const Supernode& node = supernodes_[s];
     const int width = node.end - node.begin, height = width + node.rows_count;
-    float* own = work_.data() + 3L * node.begin;
-    std::copy_n(own, 3 * width, gathered);
-    float* below = gathered + 3L * width;
-    for (int k = 0; k < node.rows_count; ++k)
-    {
-      const float* from = work_.data() + 3L * rows_[node.rows_begin + k];
-      for (int axis = 0; axis < 3; ++axis) below[3L * k + axis] = -from[axis];
-    }
+    float* own = work_.data() + 4L * node.begin;
+    const int* rows = rows_.data() + node.rows_begin;
+    for (int j = 0; j < width; ++j) packedAt(gathered, j) = nodeAt(own, j);
+    for (int k = 0; k < node.rows_count; ++k) packedAt(gathered, width + k) = -nodeAt(work_.data(), rows[k]);
     std::fill(gathered + 3L * height, gathered + stride(height), 0.0f);
-    kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered, own);
+    kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered, columns);
+    for (int j = 0; j < width; ++j) nodeAt(own, j) = packedAt(columns, j);
   }
 }
 
