@@ -17,6 +17,20 @@ namespace
 {
 using Panel = Eigen::Map<Eigen::MatrixXf, Eigen::Aligned64, Eigen::OuterStride<>>;
 
+/** Four numbers of which the last is not looked at. */
+using Node = float __attribute__((vector_size(16)));
+using PackedNode = float __attribute__((vector_size(16), aligned(4)));
+
+Node& nodeAt(float* nodes, std::ptrdiff_t i)
+{
+  return *reinterpret_cast<Node*>(nodes + 4 * i);
+}
+/** Among nodes of three numbers: its fourth is the next one's first. */
+PackedNode& packedAt(float* nodes, std::ptrdiff_t i)
+{
+  return *reinterpret_cast<PackedNode*>(nodes + 3 * i);
+}
+
 /** Rows of a panel in memory: whole registers of any width. */
 int stride(int rows)
 {
@@ -24,9 +38,9 @@ int stride(int rows)
 }
 
 /**
- * Nested dissection by planes (George 1973): two parts of a set of nodes first,
- * then the nodes that part them, which are a least set of nodes to which all
- * edges from one side of a plane to the other go (Koenig's theorem).
+ * Nested dissection by planes (George 1973): two parts of a set of nodes first, then the nodes that part them. These
+ * are as few as there can be for a plane: a least cover of the edges across it, from a largest matching (Koenig's
+ * theorem).
  */
 class Dissection
 {
@@ -85,8 +99,7 @@ private:
     order_.insert(order_.end(), best[2].begin(), best[2].end());
   }
 
-  /** The first so many nodes, the others, and a least set of either without
-   * which none touches one of the other. */
+  /** Of the first so many nodes and of the others what is left, and as few as can be that part the two. */
   std::array<std::vector<int>, 3> part(const std::vector<int>& nodes, std::size_t first)
   {
     for (std::size_t k = 0; k < nodes.size(); ++k)
@@ -94,13 +107,12 @@ private:
       side_[nodes[k]] = k < first ? 0 : 1;
       match_[nodes[k]] = NONE;
     }
-    // As many edges between the sides as can be had with no node in common;
-    // then what can be reached from the first side's nodes that have none, to
-    // and fro.
-    for (std::size_t k = 0; k < first; ++k)
+    // A largest matching across the plane; then all that alternating paths reach from the first side's free nodes.
+    for (bool more = true; more;)
     {
       ++walk_;
-      augment(nodes[k]);
+      more = false;
+      for (std::size_t k = 0; k < first; ++k) more = (match_[nodes[k]] == NONE && augment(nodes[k])) || more;
     }
     ++walk_;
     for (std::size_t k = 0; k < first; ++k)
@@ -118,8 +130,7 @@ private:
     return parts;
   }
 
-  /** Calls f for the nodes of the second side that a node touches and that this
-   * walk has not come by, until it is true. */
+  /** Whether f is true of one of the other side's nodes that a node touches and that this walk has not come by. */
   template <class F>
   bool anyAcross(int node, const F& f)
   {
@@ -133,8 +144,7 @@ private:
     return false;
   }
 
-  /** Matches a node of the first side, and others anew where they are in its
-   * way. */
+  /** Matches a node of the first side, and others anew where they are in its way. */
   bool augment(int node)
   {
     return anyAcross(node, [&](int other) {
@@ -174,8 +184,7 @@ struct Columns
   }
 };
 
-/** How long work takes that so many threads do at the same time, each taking
- * what is the most that is left. */
+/** How long the parts of some work take so many threads, each taking the longest that is left. */
 double longest(std::vector<double> works, int threads)
 {
   std::sort(works.rbegin(), works.rend());
@@ -185,16 +194,14 @@ double longest(std::vector<double> works, int threads)
 }
 
 /**
- * The roots of the subtrees to be solved at the same time, so that two threads
- * and four have little to wait for; the heaviest first, none where it is not
- * worth it.
+ * The roots of the subtrees to be solved at the same time, so that two threads and four take little time in all; the
+ * heaviest first, none where it is not worth it.
  * @param panels  in postorder, so that a subtree is so many up to its root
  * @param counts  set to how many
  */
 std::vector<int> partingRoots(const std::vector<Columns>& panels, std::vector<int>& counts)
 {
-  constexpr double WAKE = 3000;  // blocks that one thread multiplies by until
-                                 // the others are there, and back
+  constexpr double WAKE = 3000;  // blocks that a thread multiplies by while it waits for others to begin and to end
   constexpr int MOST_SPLITS = 24;
   const int n = static_cast<int>(panels.size());
   std::vector<int> panel_of;
@@ -249,8 +256,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   };
   place();
 
-  // Elimination tree (Liu 1990), then its postorder, which keeps supernodes
-  // together.
+  // Elimination tree (Liu 1990), then its postorder, which keeps supernodes together.
   std::vector<int> parent(n, -1), ancestor(n, -1);
   for (int i = 0; i < n; ++i)
   {
@@ -369,8 +375,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   }
   order_ = std::move(moved);
   place();
-  // Threads take pieces from either end: the heaviest first, the light one in
-  // the middle.
+  // Threads take pieces from either end: the heaviest first, the light one in the middle.
   const int subtrees = static_cast<int>(pieces_.size());
   const std::vector<Piece> by_weight = std::move(pieces_);
   pieces_.assign(subtrees + 1, {parting_column_, n, parting_supernode_, parting_supernode_});
@@ -387,8 +392,7 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
     values += 3 * static_cast<std::size_t>(stride(p.end - p.begin + count)) * (p.end - p.begin);
     for (int j = 0; j < 3 * (p.end - p.begin); ++j) size_ += stride(p.end - p.begin + count) - j / LANES * LANES;
     most_rows = std::max(most_rows, p.end - p.begin + count);
-    // An update of another supernode, or the panel itself with its diagonal
-    // block inverted.
+    // An update of another supernode, or the panel itself with its diagonal block inverted.
     const std::size_t size = 9 * static_cast<std::size_t>(p.end - p.begin) * (p.end - p.begin + count);
     most_update = std::max({most_update, 9 * static_cast<std::size_t>(count) * std::min(count, widest), size});
     supernode_of_.insert(supernode_of_.end(), p.end - p.begin, static_cast<int>(supernodes_.size()) - 1);
@@ -397,20 +401,20 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   local_.resize(n);
   for (std::vector<int>* list : {&head_, &next_, &done_}) list->resize(supernodes_.size());
   values_.resize(values);
-  product_size_ = stride(std::max(most_rows, widest));
-  products_.resize(product_size_ * pieces_.size());
-  sums_begin_ = stride(n);
-  sums_size_ = stride(n - parting_column_);
-  work_.resize(sums_begin_ + sums_size_ * pieces_.size());
-  for (const int row : rows_) sums_.push_back(3 * row);
+  // Of the tallest panel, then of its columns; whole nodes are read and written, that is a number more.
+  packed_begin_ = stride(most_rows) + LANES;
+  packed_size_ = packed_begin_ + stride(widest) + LANES;
+  packed_.resize(packed_size_ * pieces_.size());
+  work_.resize(4 * (static_cast<std::size_t>(n) + (n - parting_column_) * pieces_.size()));
+  sums_ = rows_;
   for (std::size_t k = 0; k < pieces_.size(); ++k)
   {
-    const int sums = sums_begin_ + sums_size_ * static_cast<int>(k);
+    const int sums = n + (n - parting_column_) * static_cast<int>(k);
     for (int s = pieces_[k].supernodes_begin; s < pieces_[k].supernodes_end; ++s)
     {
       for (int r = supernodes_[s].rows_begin; r < supernodes_[s].rows_begin + supernodes_[s].rows_count; ++r)
       {
-        if (rows_[r] >= parting_column_) sums_[r] = sums + 3 * (rows_[r] - parting_column_);
+        if (rows_[r] >= parting_column_) sums_[r] = sums + rows_[r] - parting_column_;
       }
     }
   }
@@ -520,13 +524,13 @@ void SparseCholesky::solve(const float* b, float* x)
   solve(
       1,
       [&](int begin, int end, float* to) {
-        for (int k = begin; k < end; ++k, to += 3)
+        for (int k = begin; k < end; ++k)
         {
-          for (int axis = 0; axis < 3; ++axis) to[axis] = b[4L * order_[k] + axis];
+          for (int axis = 0; axis < 4; ++axis) *to++ = b[4L * order_[k] + axis];
         }
       },
       [&](int begin, int end, const float* from) {
-        for (int k = begin; k < end; ++k, from += 3)
+        for (int k = begin; k < end; ++k, from += 4)
         {
           for (int axis = 0; axis < 3; ++axis) x[4L * order_[k] + axis] = from[axis];
           x[4L * order_[k] + 3] = 0;
@@ -537,71 +541,64 @@ void SparseCholesky::solve(const float* b, float* x)
 void SparseCholesky::solve(int threads, const Read& read, const Write& write)
 {
   const int pieces = static_cast<int>(pieces_.size()), supernodes = static_cast<int>(supernodes_.size());
-  float* parting = work_.data() + 3L * parting_column_;
-  const std::ptrdiff_t parted = 3 * (static_cast<std::ptrdiff_t>(order_.size()) - parting_column_);
-  const auto sumsOf = [&](int piece) {
-    return work_.data() + sums_begin_ + static_cast<std::ptrdiff_t>(sums_size_) * piece;
-  };
+  const std::ptrdiff_t columns = static_cast<std::ptrdiff_t>(order_.size()), parted = columns - parting_column_;
+  const auto sumsOf = [&](int piece) { return work_.data() + 4 * (columns + parted * piece); };
   forEachPiece(threads, pieces, [&](int k) {
     const Piece& piece = pieces_[k];
-    std::fill_n(sumsOf(k), parted, 0.0f);
-    read(piece.columns_begin, piece.columns_end, work_.data() + 3L * piece.columns_begin);
-    forward(piece.supernodes_begin, piece.supernodes_end, products_.data() + product_size_ * k);
+    std::fill_n(sumsOf(k), 4 * parted, 0.0f);
+    read(piece.columns_begin, piece.columns_end, work_.data() + 4L * piece.columns_begin);
+    forward(piece.supernodes_begin, piece.supernodes_end, packed_.data() + packed_size_ * k);
   });
+  float* parting = work_.data() + 4L * parting_column_;
   for (int k = 0; k < pieces; ++k)
   {
     const float* sums = sumsOf(k);
-    for (std::ptrdiff_t i = 0; i < parted; ++i) parting[i] += sums[i];
+    for (std::ptrdiff_t i = 0; i < 4 * parted; ++i) parting[i] += sums[i];
   }
-  forward(parting_supernode_, supernodes, products_.data());
-  backward(parting_supernode_, supernodes, products_.data());
+  forward(parting_supernode_, supernodes, packed_.data());
+  backward(parting_supernode_, supernodes, packed_.data());
   forEachPiece(threads, pieces, [&](int claimed) {
-    // One thread goes back the way it came, as the caches have what it had
-    // last.
+    // One thread goes back the way it came, as the caches have what it had last.
     const int k = threads == 1 ? pieces - 1 - claimed : claimed;
     const Piece& piece = pieces_[k];
-    backward(piece.supernodes_begin, piece.supernodes_end, products_.data() + product_size_ * k);
-    write(piece.columns_begin, piece.columns_end, work_.data() + 3L * piece.columns_begin);
+    backward(piece.supernodes_begin, piece.supernodes_end, packed_.data() + packed_size_ * k);
+    write(piece.columns_begin, piece.columns_end, work_.data() + 4L * piece.columns_begin);
   });
 }
 
-void SparseCholesky::forward(int begin, int end, float* product)
+/** @param packed  scratch of a piece: 3 numbers a node, each node's written before the next one's */
+void SparseCholesky::forward(int begin, int end, float* packed)
 {
   const kernels::Table& kernel = kernels::table();
+  float *product = packed, *columns = packed + packed_begin_;
   for (int s = begin; s < end; ++s)
   {
     const Supernode& node = supernodes_[s];
     const int width = node.end - node.begin;
-    float* own = work_.data() + 3L * node.begin;
-    kernel.panel_product(stride(width + node.rows_count), 3 * width, values_.data() + node.values, own, product);
-    std::copy_n(product, 3 * width, own);
-    const float* below = product + 3L * width;
+    float* own = work_.data() + 4L * node.begin;
+    for (int j = 0; j < width; ++j) packedAt(columns, j) = nodeAt(own, j);
+    kernel.panel_product(stride(width + node.rows_count), 3 * width, values_.data() + node.values, columns, product);
+    for (int j = 0; j < width; ++j) nodeAt(own, j) = packedAt(product, j);
     const int* sums = sums_.data() + node.rows_begin;
-    for (int k = 0; k < node.rows_count; ++k)
-    {
-      float* sum = work_.data() + sums[k];
-      for (int axis = 0; axis < 3; ++axis) sum[axis] -= below[3L * k + axis];
-    }
+    for (int k = 0; k < node.rows_count; ++k) nodeAt(work_.data(), sums[k]) -= packedAt(product, width + k);
   }
 }
 
-void SparseCholesky::backward(int begin, int end, float* gathered)
+void SparseCholesky::backward(int begin, int end, float* packed)
 {
   const kernels::Table& kernel = kernels::table();
+  float *gathered = packed, *columns = packed + packed_begin_;
   for (int s = end - 1; s >= begin; --s)
   {
     const Supernode& node = supernodes_[s];
     const int width = node.end - node.begin, height = width + node.rows_count;
-    float* own = work_.data() + 3L * node.begin;
-    std::copy_n(own, 3 * width, gathered);
-    float* below = gathered + 3L * width;
-    for (int k = 0; k < node.rows_count; ++k)
-    {
-      const float* from = work_.data() + 3L * rows_[node.rows_begin + k];
-      for (int axis = 0; axis < 3; ++axis) below[3L * k + axis] = -from[axis];
-    }
+    float* own = work_.data() + 4L * node.begin;
+    const int* rows = rows_.data() + node.rows_begin;
+    for (int j = 0; j < width; ++j) packedAt(gathered, j) = nodeAt(own, j);
+    for (int k = 0; k < node.rows_count; ++k) packedAt(gathered, width + k) = -nodeAt(work_.data(), rows[k]);
     std::fill(gathered + 3L * height, gathered + stride(height), 0.0f);
-    kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered, own);
+    kernel.panel_transpose_product(stride(height), 3 * width, values_.data() + node.values, gathered, columns);
+    for (int j = 0; j < width; ++j) nodeAt(own, j) = packedAt(columns, j);
   }
 }
 

@@ -30,7 +30,7 @@ public:
 
   /** x = A^-1 b; 4 floats a row: x, y, z and one that is not looked at. */
   void solve(const float* b, float* x);
-  /** Of rows [begin, end) in the order of elimination, order()[k] of the matrix: 3 floats each. */
+  /** Of rows [begin, end) in the order of elimination, order()[k] of the matrix: 4 floats each, as above. */
   using Read = std::function<void(int begin, int end, float* b)>;
   using Write = std::function<void(int begin, int end, const float* x)>;
   /** The same of sides of any form, by several threads: `read` fills in b, `write` is given x. */
@@ -44,8 +44,8 @@ public:
 
 private:
   void invertDiagonal();
-  void forward(int begin, int end, float* product);
-  void backward(int begin, int end, float* gathered);
+  void forward(int begin, int end, float* packed);
+  void backward(int begin, int end, float* packed);
 
   struct Supernode
   {
@@ -66,14 +66,14 @@ private:
   std::vector<int> position_;                       // old -> new
   std::vector<Supernode> supernodes_;
   std::vector<int> rows_;
-  std::vector<int> sums_;  // of work_, for each of rows_: where a solve sums up what it takes off that row
+  std::vector<int> sums_;  // for each of rows_, the node of work_ that a solve takes its product off
   AlignedVector<float> values_;
   std::size_t size_ = 0;
-  // Scratch: 3 floats a column, then the sums of each piece for the columns that part it from others
+  // Scratch, 4 floats a node: the columns, then for each piece what its products add to the columns that part the
+  // pieces
   AlignedVector<float> work_;
-  int sums_begin_ = 0, sums_size_ = 0;
-  AlignedVector<float> products_;  // scratch of each piece
-  std::ptrdiff_t product_size_ = 0;
+  AlignedVector<float> packed_;  // scratch of each piece
+  std::ptrdiff_t packed_begin_ = 0, packed_size_ = 0;
   AlignedVector<float> update_;                                 // scratch
   std::vector<int> local_, head_, next_, done_, supernode_of_;  // scratch, but for the last
 };

@@ -5,7 +5,6 @@
 #include <atomic>
 #include <cmath>
 #include <cstdint>
-#include <cstring>
 #include <limits>
 #include <numeric>
 
@@ -283,18 +282,17 @@ const float* TurnedFactor::solve(const Fill& fill)
   const auto read = [&](int begin, int end, float* b) {
     fill(order + begin, end - begin);
     const float* frame = frames_.data() + FRAME * begin + COLUMNS;
-    for (int k = begin; k < end; ++k, frame += FRAME, b += 3)
+    for (int k = begin; k < end; ++k, frame += FRAME, b += 4)
     {
       const int i = order[k];
-      const Node turned = columnsAt(frame) * only(freeOf(held_[i]), nodeAt(right_.data() + 4L * i));
-      std::memcpy(b, &turned, 3 * sizeof(float));
+      *reinterpret_cast<Node*>(b) = columnsAt(frame) * only(freeOf(held_[i]), nodeAt(right_.data() + 4L * i));
     }
   };
   const auto write = [&](int begin, int end, const float* x) {
     const float* frame = frames_.data() + FRAME * begin;
-    for (int k = begin; k < end; ++k, frame += FRAME, x += 3)
+    for (int k = begin; k < end; ++k, frame += FRAME, x += 4)
     {
-      *reinterpret_cast<Node*>(left_.data() + 4L * order[k]) = columnsAt(frame) * Node{x[0], x[1], x[2]};
+      *reinterpret_cast<Node*>(left_.data() + 4L * order[k]) = columnsAt(frame) * nodeAt(x);
     }
   };
   // By reference, so that nothing is allocated.

@@ -338,10 +338,11 @@ TEST_P(Cholesky, IsTheSameForAnyNumberOfThreads)
           for (int k = begin; k < end; ++k)
           {
             for (int axis = 0; axis < 3; ++axis) *to++ = static_cast<float>(b[cholesky.order()[k]][axis]);
+            *to++ = 0;
           }
         },
         [&](int begin, int end, const float* from) {
-          for (int k = begin; k < end; ++k, from += 3)
+          for (int k = begin; k < end; ++k, from += 4)
           {
             x[cholesky.order()[k]] = Eigen::Map<const Eigen::Vector3f>(from).cast<double>();
           }
