@@ -97,7 +97,8 @@ TEST(LinearSolve, StepsAreTheSameToTheBitForAnyNumberOfThreads)
         StepSettings settings = settingsOf(Elasticity::COROTATED, kind);
         settings.solver.system_operator = system;
         Bar one(settings, element, 1, cells);
-        ASSERT_EQ(one.workspace.partition.numChunks(), 3);
+        ASSERT_GE(one.workspace.partition.numChunks(), 3);
+        ASSERT_NE(one.model.num_nodes % Partition::CHUNK, 0);
         Bar two(settings, element, 2, cells), three(settings, element, 3, cells);
         ASSERT_EQ(three.workspace.partition.threads(), 3);
         for (int k = 0; k < 3; ++k)
