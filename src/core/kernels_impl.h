@@ -442,17 +442,117 @@ double dot(int begin, int end, const double* a, const double* b)
   return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
+/** The same of WIDTH blocks side by side. */
+ALWAYS_INLINE Vec invertBlocks(const unsigned char* held, const double* mass, double* blocks, Mask& indefinite)
+{
+  Bytes axes;
+  __builtin_memcpy(&axes, held, sizeof(axes));
+  const Mask bits = __builtin_convertvector(axes, Mask);
+  const Mask x = (bits & 1) != 0, y = (bits & 2) != 0, z = (bits & 4) != 0;
+  int diagonal[WIDTH], others[WIDTH];
+  for (int k = 0; k < WIDTH; ++k)
+  {
+    diagonal[k] = 2 * k;
+    others[k] = 2 * k + 1;
+  }
+  const Vec3 on = gather(blocks, diagonal), off = gather(blocks, others);
+  // What is held has a row and a column of the unit matrix.
+  const Vec zero = Vec{}, one = zero + 1;
+  const Vec xx = x ? one : on.x, yy = y ? one : on.y, zz = z ? one : on.z;
+  const Vec xy = x | y ? zero : off.x, xz = x | z ? zero : off.y, yz = y | z ? zero : off.z;
+  const Vec minor = xx * yy - xy * xy, of_xx = yy * zz - yz * yz, of_xy = xz * yz - xy * zz, of_xz = xy * yz - xz * yy;
+  const Vec det = xx * of_xx + xy * of_xy + xz * of_xz, scale = 1 / det;
+  indefinite |= ~((xx > 0) & (minor > 0) & (det > 0));
+  const Vec3 inverse_on = {x ? zero : scale * of_xx, y ? zero : scale * (xx * zz - xz * xz), z ? zero : scale * minor};
+
+  double rows[2][SHARES] __attribute__((aligned(64)));
+  storeShares(rows[0], 0, inverse_on);
+  storeShares(rows[1], 0, {scale * of_xy, scale * of_xz, scale * (xy * xz - xx * yz)});
+  for (int k = 0; k < WIDTH; ++k)
+  {
+    double* to = blocks + static_cast<long>(DIAGONAL_STRIDE) * k;
+    *reinterpret_cast<Node*>(to) = loadNode(rows[0], slotOf(k));
+    *reinterpret_cast<Node*>(to + 4) = loadNode(rows[1], slotOf(k));
+  }
+  Vec masses;
+  __builtin_memcpy(&masses, mass, sizeof(masses));
+  return masses * masses * (inverse_on.x + inverse_on.y + inverse_on.z);
+}
+
+double invertBlocks(int begin, int end, const unsigned char* held, const double* mass, double* blocks, bool* definite)
+{
+  Vec sum = {};
+  Mask indefinite = {};
+  int i = begin;
+  for (; i + WIDTH <= end; i += WIDTH)
+  {
+    sum += invertBlocks(held + i, mass + i, blocks + static_cast<long>(DIAGONAL_STRIDE) * i, indefinite);
+  }
+  if (i < end)
+  {
+    // The others of the last register are unit matrices without a mass.
+    double some[DIAGONAL_STRIDE * WIDTH] __attribute__((aligned(64))) = {}, masses[WIDTH] = {};
+    unsigned char axes[WIDTH] = {};
+    for (int k = 0; k < WIDTH; ++k)
+    {
+      for (int axis = 0; axis < 3; ++axis) some[DIAGONAL_STRIDE * k + axis] = 1;
+    }
+    const unsigned long count = end - i;
+    double* own = blocks + static_cast<long>(DIAGONAL_STRIDE) * i;
+    __builtin_memcpy(some, own, DIAGONAL_STRIDE * sizeof(double) * count);
+    __builtin_memcpy(masses, mass + i, sizeof(double) * count);
+    __builtin_memcpy(axes, held + i, count);
+    sum += invertBlocks(axes, masses, some, indefinite);
+    __builtin_memcpy(own, some, DIAGONAL_STRIDE * sizeof(double) * count);
+  }
+  if (any(indefinite)) *definite = false;
+  double total = 0;
+  for (int k = 0; k < WIDTH; ++k) total += sum[k];
+  return total / 3;
+}
+
+/** B^-1 r of a node. */
+ALWAYS_INLINE Node timesInverse(const double* inverse, int node, Node r)
+{
+  const Node on = loadNode(inverse, 2 * node), off = loadNode(inverse, 2 * node + 1);
+  return on * r + __builtin_shufflevector(off, off, 0, 0, 1, 3) * __builtin_shufflevector(r, r, 1, 0, 0, 3) +
+         __builtin_shufflevector(off, off, 1, 2, 2, 3) * __builtin_shufflevector(r, r, 2, 2, 1, 3);
+}
+
+void timesInverse(int begin, int end, const double* inverse, const double* r, double* z)
+{
+  for (int i = begin; i < end; ++i) *reinterpret_cast<Node*>(z + 4L * i) = timesInverse(inverse, i, loadNode(r, i));
+}
+
+double norm2(int begin, int end, const double* inverse, const double* r)
+{
+  Node sum = {0, 0, 0, 0};
+  for (int i = begin; i < end; ++i) sum += loadNode(r, i) * timesInverse(inverse, i, loadNode(r, i));
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+double residual(int begin, int end, const double* b, const double* q, const double* inverse, double* r)
+{
+  Node sum = {0, 0, 0, 0};
+  for (int i = begin; i < end; ++i)
+  {
+    const Node res = loadNode(b, i) - loadNode(q, i);
+    *reinterpret_cast<Node*>(r + 4L * i) = res;
+    sum += res * timesInverse(inverse, i, res);
+  }
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
 double advance(int begin, int end, double a, const double* p, const double* q, const double* inverse, double* x,
                double* r, double* z)
 {
   Node sum = {0, 0, 0, 0};
   for (int i = begin; i < end; ++i)
   {
-    const double* columns = inverse + static_cast<long>(INVERSE_STRIDE) * i;
     *reinterpret_cast<Node*>(x + 4L * i) += a * loadNode(p, i);
     const Node res = loadNode(r, i) - a * loadNode(q, i);
     *reinterpret_cast<Node*>(r + 4L * i) = res;
-    const Node pre = res[0] * loadNode(columns, 0) + res[1] * loadNode(columns, 1) + res[2] * loadNode(columns, 2);
+    const Node pre = timesInverse(inverse, i, res);
     *reinterpret_cast<Node*>(z + 4L * i) = pre;
     sum += res * pre;
   }
@@ -526,7 +626,11 @@ const Table TABLE = {
     blockProduct,
     sumShares,
     sumDiagonals,
+    invertBlocks,
     dot,
+    timesInverse,
+    norm2,
+    residual,
     advance,
     redirect,
     singleProductAny,

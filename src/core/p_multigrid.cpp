@@ -266,12 +266,13 @@ private:
   void takeInverse(const AlignedVector<double>& inverse)
   {
     constexpr int GROUP = kernels::NODE_GROUP;
+    constexpr std::array<int, 12> PLACE{0, 4, 5, 3, 4, 1, 6, 3, 5, 6, 2, 3};  // of columns' numbers in a block
     forEachPiece(partition_, [&](int t) {
       for (std::ptrdiff_t i = partition_.nodeBegin(t); i < partition_.nodeEnd(t); ++i)
       {
-        const double* from = inverse.data() + kernels::INVERSE_STRIDE * i;
+        const double* from = inverse.data() + kernels::DIAGONAL_STRIDE * i;
         float* to = inverse_.data() + i / GROUP * 12 * GROUP + i % GROUP * 4;
-        for (int k = 0; k < 12; ++k) to[4 * GROUP * (k / 4) + k % 4] = static_cast<float>(from[k]);
+        for (int k = 0; k < 12; ++k) to[4 * GROUP * (k / 4) + k % 4] = static_cast<float>(from[PLACE[k]]);
       }
     });
   }
