@@ -317,7 +317,7 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
        [&]() { systemProduct(model, partition, rotations, 1, dt * dt, u, v); }},
       {"elastic force", false, tets * FORCE, tets * (element - NUMBER) + 2 * shares + nodes * 2 * NODE, shares,
        [&]() { elasticForce(model, partition, rotations, x, v); }},
-      {"block diagonal", false, tets * DIAGONAL, tets * (element - 10 * INDEX) + 4 * shares + nodes * BLOCK, 2 * shares,
+      {"block diagonal", true, tets * DIAGONAL, tets * (element - 10 * INDEX) + 2 * shares + nodes * BLOCK, shares,
        [&]() { systemDiagonal(model, partition, rotations, 1, dt * dt, diagonal); }},
       {"assembled product", false, blocks * 18, blocks * (MATRIX + INDEX) + nodes * (INDEX + 2 * NODE), 0,
        [&]() { table.block_product(rows, 0, A.rows(), A.blocks().data(), u.data(), v.data()); }},

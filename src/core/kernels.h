@@ -17,8 +17,9 @@ constexpr int LANES = 16;
 /**
  * What an element adds to a node is its share, stored first and summed up node by node later: so elements need not take
  * turns where they meet, and sums do not depend on who works on them. A row of shares is that of one node of LANES
- * elements, four numbers each, in the order that makes whole registers of what comes out of a transpose. The first
- * ZERO_ROWS are of zeros; element kernels are given the row after them, of diagonals twice as far on.
+ * elements, four numbers each, in the order that makes whole registers of what comes out of a transpose; those of
+ * diagonal blocks have DIAGONAL_STRIDE numbers each in two rows. The first ZERO_ROWS are of zeros; element kernels are
+ * given the row after them, of diagonals twice as far on.
  */
 constexpr long SHARES = 4L * LANES;
 constexpr int ZERO_ROWS = 2;
@@ -201,9 +202,12 @@ struct Table
   void (*add_force)(const Elements& elements, int begin, int end, const double* rotated, const double* x,
                     double* shares);
 
-  /** The same of the 3x3 diagonal blocks of alpha M + beta K', two rows a node: xx, yy, zz and xy, xz, yz. */
+  /** The same of the 3x3 diagonal blocks of alpha M + beta K'. */
   void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                        double* shares);
+  /** The same in single precision; alpha and beta times V rho and V lambda are to be within its range. */
+  void (*add_single_diagonal)(const Elements& elements, int begin, int end, const double* rotated, double alpha,
+                              double beta, float* shares);
 
   /**
    * Element matrices of alpha M + beta K': [element][stride], upper triangles of blocks of 9 doubles, by columns
@@ -243,6 +247,9 @@ struct Table
   void (*sum_shares)(const NodeShares& lists, int begin, int end, const double* shares, double* out);
   /** The same of add_diagonal(), to DIAGONAL_STRIDE doubles a node. */
   void (*sum_diagonals)(const NodeShares& lists, int begin, int end, const double* shares, double* out);
+  /** The same of add_single_diagonal(), times a factor. */
+  void (*sum_single_diagonals)(const NodeShares& lists, int begin, int end, const float* shares, double factor,
+                               double* out);
   /**
    * Replaces the blocks B by their inverses over the axes that are free, zero elsewhere. Returns the sum of
    * m^2 tr(B^-1) / 3, m the numbers of `mass`.

@@ -138,6 +138,9 @@ TEST_P(DoubleKernels, LeaveFourthNumbersZero)
     check(1, [&](int begin, int end, double* to) { table->add_force(elements, begin, end, rotated, x.data(), to); });
     check(2,
           [&](int begin, int end, double* to) { table->add_diagonal(elements, begin, end, rotated, ALPHA, BETA, to); });
+    expectFourthNumbersZero(shares<float>(2, [&](int begin, int end, float* to) {
+      table->add_single_diagonal(elements, begin, end, rotated, ALPHA, BETA, to);
+    }));
     check(1, [&](int begin, int end, double* to) { green.add_force(one, begin, end, rest, x.data(), to); });
     check(1, [&](int begin, int end, double* to) {
       green.add_product(one, begin, end, rest, tangent.blocks.data(), ALPHA, BETA, u.data(), to);
