@@ -240,6 +240,7 @@ private:
   {
     constexpr std::ptrdiff_t BLOCK = 9 * LANES;
     const auto points = static_cast<float>(rotations.points);
+    mean_.resize(model_.block_mean.size());
     forEachPiece(partition_, [&](int t) {
       for (std::ptrdiff_t block = partition_.blockBegin(t); block < partition_.blockEnd(t); ++block)
       {
@@ -252,15 +253,18 @@ private:
           for (std::ptrdiff_t k = 0; k < BLOCK; ++k) to[k] += static_cast<float>(from[q * BLOCK + k]);
         }
         for (std::ptrdiff_t k = 0; k < BLOCK && rotations.points > 1; ++k) to[k] /= points;
+
+        const auto take = [](const AlignedVector<double>& numbers, double factor, std::ptrdiff_t first,
+                             AlignedVector<float>& taken) {
+          for (std::ptrdiff_t k = first; k < first + LANES; ++k) taken[k] = static_cast<float>(factor * numbers[k]);
+        };
+        const std::ptrdiff_t first = 3 * LANES * block;
+        take(model_.block_coefficients, beta, first, coefficients_);
+        take(model_.block_coefficients, beta, first + LANES, coefficients_);
+        take(model_.block_coefficients, alpha, first + 2 * LANES, coefficients_);
+        if (!mean_.empty()) take(model_.block_mean, beta, LANES * block, mean_);
       }
     });
-    for (std::size_t k = 0; k < coefficients_.size(); ++k)
-    {
-      const bool density = k / LANES % 3 == 2;
-      coefficients_[k] = static_cast<float>((density ? alpha : beta) * model_.block_coefficients[k]);
-    }
-    mean_.resize(model_.block_mean.size());
-    for (std::size_t k = 0; k < mean_.size(); ++k) mean_[k] = static_cast<float>(beta * model_.block_mean[k]);
   }
 
   void takeInverse(const AlignedVector<double>& inverse)
