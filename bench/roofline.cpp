@@ -149,6 +149,8 @@ constexpr int PRODUCT = 3 + SINGLE_PRODUCT + SCATTER;
 constexpr int PROLONGED_PRODUCT = 2 + 1 + GRADIENT_0 + STRESS + 4 * 15 + 6 * 3;
 /** Of a node: B^-1 r. */
 constexpr int INVERSE_PRODUCT = 15;
+/** Six cofactors of 3 each, the determinant, a division, six products, and m^2 times the trace. */
+constexpr int INVERSION = 6 * 3 + 5 + 1 + 6 + 5;
 /** With the identity taken from the normal strains. */
 constexpr int FORCE = GRADIENT_0 + STRESSES + 4 * 3 + FORCES + SCATTER;
 
@@ -291,7 +293,9 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
   NodalField u(model.num_nodes), v(model.num_nodes), p(model.num_nodes), q(model.num_nodes), z(model.num_nodes);
   for (int i = 0; i < model.num_nodes; ++i) u[i].setConstant(std::sin(i));
   AlignedVector<double> diagonal(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes);
-  AlignedVector<double> inverse(static_cast<std::size_t>(kernels::INVERSE_STRIDE) * model.num_nodes);
+  AlignedVector<double> inverse(diagonal.size()), inverted(diagonal.size());
+  const std::vector<unsigned char> held(model.num_nodes, 0);
+  bool definite = true;
   const kernels::Table& table = kernels::table();
   SingleData single(model, before, 1e-3, 1e-3 * dt * dt);  // small, lest kernels that feed each other overflow
   Factor factor(file, overrides);
@@ -303,13 +307,13 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
   const double vertices = single.vertices;
   // Bytes of a number, an index, a padded vector of a node and the three gradients of an element
   constexpr double NUMBER = sizeof(double), INDEX = sizeof(int), NODE = 4 * NUMBER, MATRIX = 9 * NUMBER;
-  constexpr double BLOCK = kernels::DIAGONAL_STRIDE * NUMBER, INVERSE = kernels::INVERSE_STRIDE * NUMBER;
+  constexpr double BLOCK = kernels::DIAGONAL_STRIDE * NUMBER;
   constexpr double HALF = 0.5;  // of all but indices, in single precision
   // Of an element: where to read and, node by node, where shares are; coefficients and gradients. Its ten shares, which
   // are written and read.
   const double element = 2 * 10 * INDEX + 3 * NUMBER + MATRIX, shares = tets * 10 * NODE;
   const double single_element = 10 * INDEX + HALF * (3 * NUMBER + MATRIX), single_shares = HALF * shares;
-  const double slots = tets * 10 * INDEX, values = HALF * nodes * NODE, inverses = HALF * nodes * INVERSE;
+  const double slots = tets * 10 * INDEX, values = HALF * nodes * NODE, inverses = HALF * nodes * 12 * NUMBER;
   const double factored = factor.numbers() * HALF * NUMBER, sides = factor.vertices() * HALF * NODE;
   const int count = model.num_nodes;
   double sink = 0;
@@ -320,12 +324,22 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
        [&]() { systemProduct(model, partition, rotations, 1, dt * dt, u, v); }},
       {"elastic force", false, tets * FORCE, tets * (element - NUMBER) + 2 * shares + nodes * 2 * NODE, shares,
        [&]() { elasticForce(model, partition, rotations, x, v); }},
-      {"block diagonal", false, tets * DIAGONAL, tets * (element - 10 * INDEX) + 4 * shares + nodes * BLOCK, 2 * shares,
+      {"block diagonal", true, tets * DIAGONAL, tets * (element - 10 * INDEX) + 2 * shares + nodes * BLOCK, shares,
        [&]() { systemDiagonal(model, partition, rotations, 1, dt * dt, diagonal); }},
       {"assembled product", false, blocks * 18, blocks * (MATRIX + INDEX) + nodes * (INDEX + 2 * NODE), 0,
        [&]() { table.block_product(rows, 0, A.rows(), A.blocks().data(), u.data(), v.data()); }},
+      // The blocks are copied first, which is not counted.
+      {"inverses of the diagonal blocks", false, nodes * INVERSION, nodes * (2 * BLOCK + NUMBER + 1), 0,
+       [&]() {
+         inverted = diagonal;
+         sink += table.invert_blocks(0, count, held.data(), model.node_mass.data(), inverted.data(), &definite);
+       }},
+      {"conjugate gradients: residual", false, nodes * (3 + INVERSE_PRODUCT + 6), nodes * (3 * NODE + BLOCK), 0,
+       [&]() { sink += table.residual(0, count, p.data(), q.data(), inverse.data(), z.data()); }},
+      {"conjugate gradients: norm", false, nodes * (INVERSE_PRODUCT + 6), nodes * (NODE + BLOCK), 0,
+       [&]() { sink += table.norm2(0, count, inverse.data(), u.data()); }},
       // x += a p, r -= a q, z = B^-1 r, r.z
-      {"conjugate gradients: advance", false, nodes * (6 + 6 + INVERSE_PRODUCT + 6), nodes * (5 * NODE + INVERSE), 0,
+      {"conjugate gradients: advance", false, nodes * (6 + 6 + INVERSE_PRODUCT + 6), nodes * (5 * NODE + BLOCK), 0,
        [&]() {
          sink += table.advance(0, count, 1e-3, p.data(), q.data(), inverse.data(), z.data(), u.data(), v.data());
        }},

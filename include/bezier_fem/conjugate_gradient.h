@@ -55,7 +55,7 @@ public:
   SolveReport solve(const SystemOperator& system, const Partition& partition, const NodalField& b, NodalField& u,
                     double tolerance, int max_iterations, Preconditioner* preconditioner = nullptr);
 
-  /** B^-1 on the components that are not held, 0 on the others: 12 doubles a node, three columns of x, y, z, 0. */
+  /** B^-1 on the components that are not held, 0 on the others, in the layout of systemDiagonal(). */
   const AlignedVector<double>& inverse() const { return inverse_; }
 
   /** b - A u of the last solve(), of held components too. */
@@ -68,7 +68,7 @@ public:
 
 private:
   double floor_ = 0;
-  AlignedVector<double> diagonal_, inverse_;
+  AlignedVector<double> inverse_;
   NodalField r_, z_, p_, q_;
   std::array<NodalField, 2> basis_, images_;  // of start()
   bool product_known_ = false;                // q_ is A u of what start() has left

@@ -30,7 +30,8 @@ void systemProduct(const Model& model, const Partition& partition, const Rotatio
                    double beta, const NodalField& u, NodalField& out);
 
 /**
- * The 3x3 diagonal blocks of alpha M + beta K'.
+ * The 3x3 diagonal blocks of alpha M + beta K', right to 1e-6 of each: enough for a preconditioner. Of a material so
+ * nearly incompressible that this might leave a block indefinite, (lambda + 2 mu) / mu above 1e4, to rounding.
  * @param blocks  8 doubles a node: xx, yy, zz, 0, xy, xz, yz, 0 of each block
  */
 void systemDiagonal(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,

@@ -57,6 +57,9 @@ struct Model
   std::vector<int> share_begin, share_slots;
   AlignedVector<double> block_mean;  // [block][LANES]: V meanLambda() (Pa m^3); empty where all are zero
 
+  // The largest of the elements': V rho (kg), V (lambda_L + 2 mu) times the largest |g|^2 (N/m), (lambda_L + 2 mu) / mu
+  double largest_mass = 0, largest_stiffness = 0, largest_condition = 0;
+
   const int* nodesOf(int tet) const { return tets.data() + static_cast<std::ptrdiff_t>(tet) * nodes_per_tet; }
   bool quadratic() const { return nodes_per_tet == QUADRATIC_NODES; }
   double mass() const;    // kg

@@ -55,6 +55,10 @@ public:
   Matrix matrix() { return Matrix(data_.data(), 4, size()); }
   ConstMatrix matrix() const { return ConstMatrix(data_.data(), 4, size()); }
 
+  /** The same of nodes [first, first + count). */
+  Matrix columns(int first, int count) { return Matrix(data_.data() + 4L * first, 4, count); }
+  ConstMatrix columns(int first, int count) const { return ConstMatrix(data_.data() + 4L * first, 4, count); }
+
   void setZero() { matrix().setZero(); }
 
 private:

@@ -11,34 +11,8 @@
 
 namespace bezier_fem
 {
-namespace
-{
-
-/** Inverse of the block over the axes that are free, zero elsewhere; `definite` is cleared where it is not positive. */
-Eigen::Matrix3d invertFree(const double* d, std::uint8_t held, bool& definite)
-{
-  Eigen::Matrix3d block;
-  block << d[0], d[4], d[5], d[4], d[1], d[6], d[5], d[6], d[2];
-  for (int axis = 0; axis < 3; ++axis)
-  {
-    if (!(held >> axis & 1)) continue;
-    block.row(axis).setZero();
-    block.col(axis).setZero();
-    block(axis, axis) = 1;
-  }
-  if (!(block(0, 0) > 0 && block.topLeftCorner<2, 2>().determinant() > 0 && block.determinant() > 0)) definite = false;
-  Eigen::Matrix3d inverse = block.inverse();
-  for (int axis = 0; axis < 3; ++axis)
-  {
-    if (held >> axis & 1) inverse(axis, axis) = 0;
-  }
-  return inverse;
-}
-}  // namespace
-
 ConjugateGradient::ConjugateGradient(const Model& model, const Partition& partition)
-    : diagonal_(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes),
-      inverse_(static_cast<std::size_t>(kernels::INVERSE_STRIDE) * model.num_nodes),
+    : inverse_(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes),
       r_(model.num_nodes),
       z_(model.num_nodes),
       p_(model.num_nodes),
@@ -58,20 +32,13 @@ double ConjugateGradient::sum(const Partition& partition, const F& f)
 bool ConjugateGradient::prepare(const SystemOperator& system, const Model& model, const Partition& partition,
                                 const HeldAxes& held, double load_floor)
 {
-  system.diagonal(diagonal_);
+  system.diagonal(inverse_);
   std::atomic<bool> all_definite = true;
+  // The load is M times a uniform field of ones: the integral of rho B_I.
   const double floor2 = sum(partition, [&](int begin, int end) {
-    double part = 0;
     bool definite = true;
-    for (int i = begin; i < end; ++i)
-    {
-      const Eigen::Matrix3d inverse =
-          invertFree(diagonal_.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i, held[i], definite);
-      double* out = inverse_.data() + static_cast<std::ptrdiff_t>(kernels::INVERSE_STRIDE) * i;
-      for (int axis = 0; axis < 3; ++axis) Eigen::Map<Eigen::Vector3d>(out + 4 * axis) = inverse.col(axis);
-      // M times a uniform field of ones: the integral of rho B_I.
-      part += model.node_mass[i] * model.node_mass[i] * inverse.trace() / 3;
-    }
+    const double part =
+        kernels::table().invert_blocks(begin, end, held.data(), model.node_mass.data(), inverse_.data(), &definite);
     if (!definite) all_definite = false;
     return part;
   });
@@ -81,16 +48,8 @@ bool ConjugateGradient::prepare(const SystemOperator& system, const Model& model
 
 double ConjugateGradient::norm(const Partition& partition, const NodalField& r)
 {
-  return std::sqrt(sum(partition, [&](int begin, int end) {
-    double sum = 0;
-    for (int i = begin; i < end; ++i)
-    {
-      const double* c = inverse_.data() + static_cast<std::ptrdiff_t>(kernels::INVERSE_STRIDE) * i;
-      const auto v = r[i];
-      for (int axis = 0; axis < 3; ++axis) sum += v[axis] * Eigen::Map<const Eigen::Vector3d>(c + 4 * axis).dot(v);
-    }
-    return sum;
-  }));
+  return std::sqrt(sum(
+      partition, [&](int begin, int end) { return kernels::table().norm2(begin, end, inverse_.data(), r.data()); }));
 }
 
 double ConjugateGradient::relativeNorm(const Partition& partition, const NodalField& r, const NodalField& b)
@@ -159,15 +118,8 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
   {
     if (!product_known_) system.product(u, q_);
     product_known_ = false;
-    forEachPiece(partition, [&](int t) {
-      const int begin = partition.nodeBegin(t), count = partition.nodeEnd(t) - begin;
-      r_.matrix().middleCols(begin, count) = b.matrix().middleCols(begin, count) - q_.matrix().middleCols(begin, count);
-      z_.matrix().middleCols(begin, count).setZero();
-      p_.matrix().middleCols(begin, count).setZero();
-    });
-    // With a step of zero, advance() leaves r and sets z.
     double norm2 = sum(partition, [&](int begin, int end) {
-      return kernel.advance(begin, end, 0, p_.data(), q_.data(), inverse_.data(), z_.data(), r_.data(), z_.data());
+      return kernel.residual(begin, end, b.data(), q_.data(), inverse_.data(), r_.data());
     });
     if (may_restart && norm2 > scale * scale)
     {
@@ -190,19 +142,27 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
                                                    max_iterations - report.iterations, u);
       continue;
     }
-    const auto slope = [&] {
-      if (!preconditioner) return norm2;
-      preconditioner->apply(r_, z_);
-      return sum(partition, [&](int begin, int end) { return kernel.dot(begin, end, r_.data(), z_.data()); });
+    const auto precondition = [&](NodalField& z) {
+      preconditioner->apply(r_, z);
+      return sum(partition, [&](int begin, int end) { return kernel.dot(begin, end, r_.data(), z.data()); });
     };
-    double rz = slope();
+    double rz = norm2;
+    if (preconditioner)
+    {
+      rz = precondition(p_);
+    }
+    else
+    {
+      forEachPiece(partition, [&](int t) {
+        kernel.times_inverse(partition.nodeBegin(t), partition.nodeEnd(t), inverse_.data(), r_.data(), p_.data());
+      });
+    }
     if (!(rz > 0))
     {
       if (!preconditioner) return report;
       preconditioner = nullptr;  // has lost its way, as it may with every element turned inside out
       continue;
     }
-    p_.matrix() = z_.matrix();
     while (report.iterations < max_iterations)
     {
       system.product(p_, q_);
@@ -221,7 +181,7 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
       });
       // A little below, so that rounding in the update does not cost a second round.
       if (!(std::sqrt(norm2) > 0.99 * target)) break;
-      rz = slope();
+      rz = preconditioner ? precondition(z_) : norm2;
       if (!(rz > 0)) break;
       forEachPiece(partition, [&](int t) {
         kernel.redirect(partition.nodeBegin(t), partition.nodeEnd(t), rz / before, z_.data(), p_.data());

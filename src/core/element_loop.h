@@ -53,4 +53,21 @@ void accumulateDiagonal(const Model& model, const Partition& partition, int poin
   });
 }
 
+/** The same of shares in single precision, whose sums are multiplied by a factor. */
+template <class Loop>
+void accumulateSingleDiagonal(const Model& model, const Partition& partition, int points, double factor, double* out,
+                              const Loop& loop)
+{
+  // In the memory of the others: what is warm in the caches stays so.
+  auto* shares = reinterpret_cast<float*>(partition.shares());
+  forEachPiece(partition, [&](int t) {
+    loop(elementsOf(model, points), partition.blockBegin(t), partition.blockEnd(t),
+         shares + 2 * kernels::ZERO_ROWS * kernels::SHARES);
+  });
+  forEachPiece(partition, [&](int t) {
+    kernels::table().sum_single_diagonals(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), shares, factor,
+                                          out);
+  });
+}
+
 }  // namespace bezier_fem

@@ -81,7 +81,7 @@ private:
   void kick(double k, double time)
   {
     const double damp_m = settings_.damping.mass, damp_k = settings_.damping.stiffness;
-    externalForce(model_, settings_, loads_, external_, time, state_.x, w_.load);
+    externalForce(model_, w_.partition, settings_, loads_, external_, time, state_.x, w_.load);
     const bool green = settings_.elasticity == Elasticity::GREEN;
     // With the rotations held f_el is affine: f_el(x) + b K' v = f_el(x + b v).
     w_.x_before.matrix() = state_.x.matrix();

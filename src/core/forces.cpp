@@ -2,14 +2,21 @@
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/green_strain.h"
+#include "parallel.h"
 
 namespace bezier_fem
 {
-void externalForce(const Model& model, const StepSettings& settings, const std::vector<AppliedLoad>& loads,
-                   const NodalField& external, double time, const NodalField& x, NodalField& f)
+void externalForce(const Model& model, const Partition& partition, const StepSettings& settings,
+                   const std::vector<AppliedLoad>& loads, const NodalField& external, double time, const NodalField& x,
+                   NodalField& f)
 {
-  f.matrix() = external.matrix();
-  for (int i = 0; i < model.num_nodes; ++i) f[i] += model.node_mass[i] * settings.gravity;
+  const Eigen::Vector4d gravity(settings.gravity[0], settings.gravity[1], settings.gravity[2], 0);
+  forEachPiece(partition, [&](int t) {
+    for (int i = partition.nodeBegin(t); i < partition.nodeEnd(t); ++i)
+    {
+      f.matrix().col(i) = external.matrix().col(i) + model.node_mass[i] * gravity;
+    }
+  });
   addLoads(model, loads, time, x, f);
 }
 

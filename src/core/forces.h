@@ -6,8 +6,9 @@
 namespace bezier_fem
 {
 /** f = gravity, the scene's loads and the external forces at a time and positions x, N. */
-void externalForce(const Model& model, const StepSettings& settings, const std::vector<AppliedLoad>& loads,
-                   const NodalField& external, double time, const NodalField& x, NodalField& f);
+void externalForce(const Model& model, const Partition& partition, const StepSettings& settings,
+                   const std::vector<AppliedLoad>& loads, const NodalField& external, double time, const NodalField& x,
+                   NodalField& f);
 
 /** f = f_el(x) of the elasticity that the settings name, N. */
 void internalForce(const Model& model, const Partition& partition, Elasticity elasticity, const Rotations& rotations,

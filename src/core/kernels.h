@@ -17,8 +17,9 @@ constexpr int LANES = 16;
 /**
  * What an element adds to a node is its share, stored first and summed up node by node later: so elements need not take
  * turns where they meet, and sums do not depend on who works on them. A row of shares is that of one node of LANES
- * elements, four numbers each, in the order that makes whole registers of what comes out of a transpose. The first
- * ZERO_ROWS are of zeros; element kernels are given the row after them, of diagonals twice as far on.
+ * elements, four numbers each, in the order that makes whole registers of what comes out of a transpose; those of
+ * diagonal blocks have DIAGONAL_STRIDE numbers each in two rows. The first ZERO_ROWS are of zeros; element kernels are
+ * given the row after them, of diagonals twice as far on.
  */
 constexpr long SHARES = 4L * LANES;
 constexpr int ZERO_ROWS = 2;
@@ -36,10 +37,8 @@ struct NodeShares
   const int* begin;  // of each group of nodes, then an end: steps in `slots`
   const int* slots;  // [step][NODE_GROUP]: 4 (LANES row + slotOf(lane)); 0, of zeros, where another node has more
 };
-/** Doubles a node of a diagonal block: xx, yy, zz, 0, xy, xz, yz, 0. */
+/** Doubles a node of a diagonal block, and of its inverse: xx, yy, zz, 0, xy, xz, yz, 0. */
 constexpr int DIAGONAL_STRIDE = 8;
-/** Doubles a node of an inverted diagonal block: three columns of x, y, z, 0. */
-constexpr int INVERSE_STRIDE = 12;
 /** Doubles of an element's ten products H_cd, c <= d 12 each: columns of x, y, z and a fourth number. */
 constexpr int PRODUCTS_STRIDE = 120;
 
@@ -208,9 +207,12 @@ struct Table
   void (*force_work)(const Elements& elements, int begin, int end, const double* rotated, const double* x,
                      const double* d, double* sums);
 
-  /** Shares of the 3x3 diagonal blocks of alpha M + beta K', two rows a node: xx, yy, zz and xy, xz, yz. */
+  /** Shares of the 3x3 diagonal blocks of alpha M + beta K'. */
   void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                        double* shares);
+  /** The same in single precision; alpha and beta times V rho and V lambda are to be within its range. */
+  void (*add_single_diagonal)(const Elements& elements, int begin, int end, const double* rotated, double alpha,
+                              double beta, float* shares);
 
   /**
    * Element matrices of alpha M + beta K': [element][stride], upper triangles of blocks of 9 doubles, by columns
@@ -250,7 +252,24 @@ struct Table
   void (*sum_shares)(const NodeShares& lists, int begin, int end, const double* shares, double* out);
   /** The same of add_diagonal(), to DIAGONAL_STRIDE doubles a node. */
   void (*sum_diagonals)(const NodeShares& lists, int begin, int end, const double* shares, double* out);
+  /** The same of add_single_diagonal(), times a factor. */
+  void (*sum_single_diagonals)(const NodeShares& lists, int begin, int end, const float* shares, double factor,
+                               double* out);
+  /**
+   * Replaces the blocks B by their inverses over the axes that are free, zero elsewhere. Returns the sum of
+   * m^2 tr(B^-1) / 3, m the numbers of `mass`.
+   * @param held      bits 1, 2, 4 of each node: x, y, z are held
+   * @param definite  cleared where a block, over its free axes, is not positive definite; otherwise left as it is
+   */
+  double (*invert_blocks)(int begin, int end, const unsigned char* held, const double* mass, double* blocks,
+                          bool* definite);
   double (*dot)(int begin, int end, const double* a, const double* b);
+  /** z = B^-1 r */
+  void (*times_inverse)(int begin, int end, const double* inverse, const double* r, double* z);
+  /** r . B^-1 r */
+  double (*norm2)(int begin, int end, const double* inverse, const double* r);
+  /** r = b - q; returns r . B^-1 r. */
+  double (*residual)(int begin, int end, const double* b, const double* q, const double* inverse, double* r);
   /** x += a p, r -= a q, z = B^-1 r; returns r.z. */
   double (*advance)(int begin, int end, double a, const double* p, const double* q, const double* inverse, double* x,
                     double* r, double* z);

@@ -17,6 +17,31 @@ inline SingleVec load(const float* p)
 {
   return *reinterpret_cast<const SingleVec*>(p);
 }
+
+/** Numbers in double precision, times a factor, in a register of either. */
+template <class V>
+ALWAYS_INLINE V loadAs(const double* p, double factor = 1)
+{
+  if constexpr (std::is_same_v<V, Vec>)
+  {
+    return factor * load(p);
+  }
+  else
+  {
+    using Half = float __attribute__((vector_size(sizeof(float) * WIDTH)));
+    const Half a = __builtin_convertvector(factor * load(p), Half);
+    const Half b = __builtin_convertvector(factor * load(p + WIDTH), Half);
+    V result;
+    __builtin_memcpy(&result, &a, sizeof(a));
+    __builtin_memcpy(reinterpret_cast<char*>(&result) + sizeof(a), &b, sizeof(b));
+    return result;
+  }
+}
+template <class V>
+ALWAYS_INLINE V loadAs(const float* p)
+{
+  return load(p);
+}
 inline void store(double* p, Vec v)
 {
   *reinterpret_cast<Vec*>(p) = v;
@@ -107,40 +132,32 @@ ALWAYS_INLINE Vec3 gather(const double* base, const int* nodes)
 #endif
 }
 
-/** The transpose of gather(): a share a lane, to the place that slotOf() names in a row of LANES. */
-ALWAYS_INLINE void storeShares(double* row, int part, const Vec3& v)
+#if WIDTH != 2
+/** The transpose of gather(): lanes k, k + 4, ... to the register k, x, y, z, 0 each. */
+ALWAYS_INLINE void transpose(const Vec3& v, Vec* rows)
 {
-#if WIDTH == 2
-  for (int k = 0; k < 2; ++k)
-  {
-    double* p = row + 4L * slotOf(part + k);
-    *reinterpret_cast<Vec*>(p) = Vec{v.x[k], v.y[k]};
-    *reinterpret_cast<Vec*>(p + 2) = Vec{v.z[k], 0};
-  }
-#else
-  double* to = row + part;  // 4 slotOf(part)
   const Vec zero = zeros<Vec>();
 #if WIDTH == 4
   const Vec xy_02 = __builtin_shufflevector(v.x, v.y, 0, 4, 2, 6),
             xy_13 = __builtin_shufflevector(v.x, v.y, 1, 5, 3, 7);
   const Vec z_02 = __builtin_shufflevector(v.z, zero, 0, 4, 2, 6),
             z_13 = __builtin_shufflevector(v.z, zero, 1, 5, 3, 7);
-  store(to, __builtin_shufflevector(xy_02, z_02, 0, 1, 4, 5));
-  store(to + LANES, __builtin_shufflevector(xy_13, z_13, 0, 1, 4, 5));
-  store(to + 2L * LANES, __builtin_shufflevector(xy_02, z_02, 2, 3, 6, 7));
-  store(to + 3L * LANES, __builtin_shufflevector(xy_13, z_13, 2, 3, 6, 7));
+  rows[0] = __builtin_shufflevector(xy_02, z_02, 0, 1, 4, 5);
+  rows[1] = __builtin_shufflevector(xy_13, z_13, 0, 1, 4, 5);
+  rows[2] = __builtin_shufflevector(xy_02, z_02, 2, 3, 6, 7);
+  rows[3] = __builtin_shufflevector(xy_13, z_13, 2, 3, 6, 7);
 #else
   const Vec xy_even = __builtin_shufflevector(v.x, v.y, 0, 8, 2, 10, 4, 12, 6, 14);
   const Vec xy_odd = __builtin_shufflevector(v.x, v.y, 1, 9, 3, 11, 5, 13, 7, 15);
   const Vec z_even = __builtin_shufflevector(v.z, zero, 0, 8, 2, 10, 4, 12, 6, 14);
   const Vec z_odd = __builtin_shufflevector(v.z, zero, 1, 9, 3, 11, 5, 13, 7, 15);
-  store(to, __builtin_shufflevector(xy_even, z_even, 0, 1, 8, 9, 4, 5, 12, 13));
-  store(to + LANES, __builtin_shufflevector(xy_odd, z_odd, 0, 1, 8, 9, 4, 5, 12, 13));
-  store(to + 2L * LANES, __builtin_shufflevector(xy_even, z_even, 2, 3, 10, 11, 6, 7, 14, 15));
-  store(to + 3L * LANES, __builtin_shufflevector(xy_odd, z_odd, 2, 3, 10, 11, 6, 7, 14, 15));
-#endif
+  rows[0] = __builtin_shufflevector(xy_even, z_even, 0, 1, 8, 9, 4, 5, 12, 13);
+  rows[1] = __builtin_shufflevector(xy_odd, z_odd, 0, 1, 8, 9, 4, 5, 12, 13);
+  rows[2] = __builtin_shufflevector(xy_even, z_even, 2, 3, 10, 11, 6, 7, 14, 15);
+  rows[3] = __builtin_shufflevector(xy_odd, z_odd, 2, 3, 10, 11, 6, 7, 14, 15);
 #endif
 }
+#endif
 
 #if WIDTH == 2
 #define BY_FOURS(a, b, i, j, k, l) __builtin_shufflevector(a, b, i, j, k, l)
@@ -182,16 +199,91 @@ ALWAYS_INLINE Vec3Of<SingleVec> gather(const float* base, const int* nodes)
   return {BY_FOURS(ab_xy, cd_xy, 0, 1, 4, 5), BY_FOURS(ab_xy, cd_xy, 2, 3, 6, 7), BY_FOURS(ab_z, cd_z, 0, 1, 4, 5)};
 }
 
-ALWAYS_INLINE void storeShares(float* row, int part, const Vec3Of<SingleVec>& v)
+ALWAYS_INLINE void transpose(const Vec3Of<SingleVec>& v, SingleVec* rows)
 {
   const SingleVec zero = zeros<SingleVec>();
   const SingleVec xy_01 = BY_FOURS(v.x, v.y, 0, 4, 1, 5), xy_23 = BY_FOURS(v.x, v.y, 2, 6, 3, 7);
   const SingleVec z_01 = BY_FOURS(v.z, zero, 0, 4, 1, 5), z_23 = BY_FOURS(v.z, zero, 2, 6, 3, 7);
-  float* to = row + part;  // 4 slotOf(part)
-  store(to, BY_FOURS(xy_01, z_01, 0, 1, 4, 5));
-  store(to + LANES, BY_FOURS(xy_01, z_01, 2, 3, 6, 7));
-  store(to + 2L * LANES, BY_FOURS(xy_23, z_23, 0, 1, 4, 5));
-  store(to + 3L * LANES, BY_FOURS(xy_23, z_23, 2, 3, 6, 7));
+  rows[0] = BY_FOURS(xy_01, z_01, 0, 1, 4, 5);
+  rows[1] = BY_FOURS(xy_01, z_01, 2, 3, 6, 7);
+  rows[2] = BY_FOURS(xy_23, z_23, 0, 1, 4, 5);
+  rows[3] = BY_FOURS(xy_23, z_23, 2, 3, 6, 7);
+}
+
+/** A share a lane, to the place that slotOf() names in a row of LANES. */
+template <class Scalar, class V>
+ALWAYS_INLINE void storeShares(Scalar* row, int part, const Vec3Of<V>& v)
+{
+#if WIDTH == 2
+  if constexpr (std::is_same_v<Scalar, double>)
+  {
+    for (int k = 0; k < 2; ++k)
+    {
+      double* p = row + 4L * slotOf(part + k);
+      *reinterpret_cast<Vec*>(p) = Vec{v.x[k], v.y[k]};
+      *reinterpret_cast<Vec*>(p + 2) = Vec{v.z[k], 0};
+    }
+    return;
+  }
+  else
+#endif
+  {
+    V rows[4];
+    transpose(v, rows);
+    for (int k = 0; k < 4; ++k) store(row + part + static_cast<long>(k) * LANES, rows[k]);  // part: 4 slotOf(part)
+  }
+}
+
+/** Four numbers of a, four of b, the next four of a, ... */
+ALWAYS_INLINE void storeByTurns(float* to, SingleVec a, SingleVec b)
+{
+#if WIDTH == 2
+  store(to, a);
+  store(to + SINGLE_WIDTH, b);
+#elif WIDTH == 4
+  store(to, __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11));
+  store(to + SINGLE_WIDTH, __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15));
+#else
+  store(to, __builtin_shufflevector(a, b, 0, 1, 2, 3, 16, 17, 18, 19, 4, 5, 6, 7, 20, 21, 22, 23));
+  store(to + SINGLE_WIDTH, __builtin_shufflevector(a, b, 8, 9, 10, 11, 24, 25, 26, 27, 12, 13, 14, 15, 28, 29, 30, 31));
+#endif
+}
+ALWAYS_INLINE void storeByTurns(double* to, Vec a, Vec b)
+{
+#if WIDTH == 8
+  store(to, __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11));
+  store(to + WIDTH, __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15));
+#else
+  store(to, a);
+  store(to + WIDTH, b);
+#endif
+}
+
+/** The same of two vectors a lane, the second one after the first. */
+template <class Scalar, class V>
+ALWAYS_INLINE void storeShares(Scalar* rows, int part, const Vec3Of<V>& a, const Vec3Of<V>& b)
+{
+#if WIDTH == 2
+  if constexpr (std::is_same_v<Scalar, double>)
+  {
+    for (int k = 0; k < 2; ++k)
+    {
+      double* p = rows + 8L * slotOf(part + k);
+      *reinterpret_cast<Vec*>(p) = Vec{a.x[k], a.y[k]};
+      *reinterpret_cast<Vec*>(p + 2) = Vec{a.z[k], 0};
+      *reinterpret_cast<Vec*>(p + 4) = Vec{b.x[k], b.y[k]};
+      *reinterpret_cast<Vec*>(p + 6) = Vec{b.z[k], 0};
+    }
+    return;
+  }
+  else
+#endif
+  {
+    V of_a[4], of_b[4];
+    transpose(a, of_a);
+    transpose(b, of_b);
+    for (int k = 0; k < 4; ++k) storeByTurns(rows + 2L * (part + static_cast<long>(k) * LANES), of_a[k], of_b[k]);
+  }
 }
 
 /** Symmetric 3x3 matrix, one a lane. */
@@ -220,14 +312,14 @@ struct RotatedGradientsOf
 };
 using RotatedGradients = RotatedGradientsOf<Vec>;
 
-template <class Scalar>
-ALWAYS_INLINE auto loadGradients(const Scalar* p)
+template <class Scalar, class V = decltype(load(std::declval<const Scalar*>()))>
+ALWAYS_INLINE RotatedGradientsOf<V> loadGradients(const Scalar* p)
 {
-  using V = decltype(load(p));
   RotatedGradientsOf<V> g;
   for (int a = 0; a < 3; ++a)
   {
-    g.r[a + 1] = {load(p + (3L * a) * LANES), load(p + (3L * a + 1) * LANES), load(p + (3L * a + 2) * LANES)};
+    g.r[a + 1] = {loadAs<V>(p + (3L * a) * LANES), loadAs<V>(p + (3L * a + 1) * LANES),
+                  loadAs<V>(p + (3L * a + 2) * LANES)};
   }
   const Vec3Of<V> sum = g.r[1] + g.r[2] + g.r[3];
   g.r[0] = {-sum.x, -sum.y, -sum.z};

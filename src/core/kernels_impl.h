@@ -94,74 +94,78 @@ void forceWork(const Elements& elements, int begin, int end, const double* rotat
 }
 
 /** H_cd + H_dc over V, with H_cd = lambda c d^T + mu d c^T + mu (c.d) 1; H_cc + H_cc = 2 H_cc for c = d. */
-inline Sym symmetricH(const Vec3& c, const Vec3& d, Vec lambda, Vec mu)
+template <class V>
+inline SymOf<V> symmetricH(const Vec3Of<V>& c, const Vec3Of<V>& d, V lambda, V mu)
 {
-  const Vec sum = lambda + mu;
-  const Vec dot = (mu + mu) * (c.x * d.x + c.y * d.y + c.z * d.z);
+  const V sum = lambda + mu;
+  const V dot = (mu + mu) * (c.x * d.x + c.y * d.y + c.z * d.z);
   return {(sum + sum) * c.x * d.x + dot, sum * (c.x * d.y + c.y * d.x), sum * (c.x * d.z + c.z * d.x),
           (sum + sum) * c.y * d.y + dot, sum * (c.y * d.z + c.z * d.y), (sum + sum) * c.z * d.z + dot};
 }
 
-/** @param row  of the node's two rows of shares the first */
-ALWAYS_INLINE void storeDiagonal(double* row, int part, const Sym& s, Vec mass)
+/** @param rows  the node's two rows of shares */
+template <class Scalar, class V>
+ALWAYS_INLINE void storeDiagonal(Scalar* rows, int part, const SymOf<V>& s, V mass)
 {
-  storeShares(row, part, {s.xx + mass, s.yy + mass, s.zz + mass});
-  storeShares(row + SHARES, part, {s.xy, s.xz, s.yz});
+  storeShares(rows, part, Vec3Of<V>{s.xx + mass, s.yy + mass, s.zz + mass}, Vec3Of<V>{s.xy, s.xz, s.yz});
 }
 
-inline Sym operator*(Vec s, const Sym& m)
+template <class V>
+inline SymOf<V> operator*(V s, const SymOf<V>& m)
 {
   return {s * m.xx, s * m.xy, s * m.xz, s * m.yy, s * m.yz, s * m.zz};
 }
 
 /** s v v^T */
-inline Sym square(Vec s, const Vec3& v)
+template <class V>
+inline SymOf<V> square(V s, const Vec3Of<V>& v)
 {
-  const Vec3 w = s * v;
+  const Vec3Of<V> w = s * v;
   return {w.x * v.x, w.x * v.y, w.x * v.z, w.y * v.y, w.y * v.z, w.z * v.z};
 }
 
-template <bool MEAN>
-inline void addDiagonalOfFour(double* rows, int part, const double* rotated, Vec lambda, Vec mu, Vec mean, Vec mass)
+template <bool MEAN, class Scalar, class V>
+inline void addDiagonalOfFour(Scalar* rows, int part, const double* rotated, V lambda, V mu, V mean, V mass)
 {
-  RotatedGradients g[4];
-  for (int q = 0; q < 4; ++q) g[q] = loadGradients(rotated + 9L * q * LANES);
-  const Vec half = Vec{} + 0.5;
+  RotatedGradientsOf<V> g[4];
+  for (int q = 0; q < 4; ++q) g[q] = loadGradients<double, V>(rotated + 9L * q * LANES);
+  const V half = all<V>(0.5);
   for (int a = 0; a < 4; ++a)
   {
     for (int b = a; b < 4; ++b)
     {
       // V/4 times the sum of H_hh, h = 2 (lambda_a r_b + lambda_b r_a), halved where a = b; symmetricH() is 2 H.
-      Sym sum = {};
-      Vec3 total = {};
+      SymOf<V> sum = {};
+      Vec3Of<V> total = {};
       for (int q = 0; q < 4; ++q)
       {
-        const Vec to_b = Vec{} + (q == a ? NEAR : FAR), to_a = Vec{} + (q == b ? NEAR : FAR);
-        const Vec3 h = a == b ? to_b * g[q].r[a] : to_b * g[q].r[b] + to_a * g[q].r[a];
+        const V to_b = all<V>(q == a ? NEAR : FAR), to_a = all<V>(q == b ? NEAR : FAR);
+        const Vec3Of<V> h = a == b ? to_b * g[q].r[a] : to_b * g[q].r[b] + to_a * g[q].r[a];
         sum = sum + symmetricH(h, h, lambda, mu);
         if constexpr (MEAN) total = total + h;
       }
       if constexpr (MEAN) sum = sum + square(half * mean, total);
-      storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, half * sum, mass * (a == b ? 1.0 / 35 : 2.0 / 105));
+      storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, half * sum, mass * all<V>(a == b ? 1.0 / 35 : 2.0 / 105));
     }
   }
 }
 
-template <int NODES, int POINTS, bool MEAN>
+/** @param shares  in the precision of V */
+template <class V, int NODES, int POINTS, bool MEAN, class Scalar>
 void addDiagonal(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
-                 double* shares)
+                 Scalar* shares)
 {
   for (int block = begin; block < end; ++block)
   {
-    for (int part = 0; part < LANES; part += WIDTH)
+    for (int part = 0; part < LANES; part += static_cast<int>(sizeof(V) / sizeof(Scalar)))
     {
-      double* rows = shares + 2 * SHARES * NODES * block;
+      Scalar* rows = shares + 2 * SHARES * NODES * block;
       const double* c = elements.coefficients + 3L * block * LANES + part;
-      Vec lambda = beta * load(c), mean = Vec{};
-      const Vec mu = beta * load(c + LANES), mass = alpha * load(c + 2L * LANES);
+      V lambda = loadAs<V>(c, beta), mean = V{};
+      const V mu = loadAs<V>(c + LANES, beta), mass = loadAs<V>(c + 2L * LANES, alpha);
       if constexpr (MEAN)
       {
-        mean = beta * load(elements.mean + static_cast<long>(block) * LANES + part);
+        mean = loadAs<V>(elements.mean + static_cast<long>(block) * LANES + part, beta);
         lambda -= mean;
       }
       const double* own = rotated + static_cast<long>(block) * POINTS * 9 * LANES + part;
@@ -170,29 +174,29 @@ void addDiagonal(const Elements& elements, int begin, int end, const double* rot
         addDiagonalOfFour<MEAN>(rows, part, own, lambda, mu, mean, mass);
         continue;
       }
-      const RotatedGradients g = loadGradients(own);
-      Sym h[4];  // 2 H_aa
+      const auto g = loadGradients<double, V>(own);
+      SymOf<V> h[4];  // 2 H_aa
       for (int a = 0; a < 4; ++a) h[a] = symmetricH(g.r[a], g.r[a], lambda, mu);
       if constexpr (NODES == 4)
       {
-        const Vec half = Vec{} + 0.5;
-        for (int a = 0; a < 4; ++a) storeDiagonal(rows + 2 * SHARES * a, part, half * h[a], mass * 0.1);
+        const V half = all<V>(0.5);
+        for (int a = 0; a < 4; ++a) storeDiagonal(rows + 2 * SHARES * a, part, half * h[a], mass * all<V>(0.1));
       }
       else
       {
         // 4 V/20 (2 H_aa) at corners, 4 V/20 (2 H_aa + 2 H_bb + H_ab + H_ba) at edges; M: rho V/35 and rho V 4/210.
         // Mean gradients: r_a/2 at corners, (r_a + r_b)/2 at edges.
-        const Vec fifth = Vec{} + 0.2, quarter_mean = 0.25 * mean;
+        const V fifth = all<V>(0.2), quarter_mean = all<V>(0.25) * mean;
         for (int a = 0; a < 4; ++a)
         {
-          Sym corner = fifth * h[a];
+          SymOf<V> corner = fifth * h[a];
           if constexpr (MEAN) corner = corner + square(quarter_mean, g.r[a]);
-          storeDiagonal(rows + 2 * SHARES * a, part, corner, mass * (1.0 / 35));
+          storeDiagonal(rows + 2 * SHARES * a, part, corner, mass * all<V>(1.0 / 35));
           for (int b = a + 1; b < 4; ++b)
           {
-            Sym edge = fifth * (h[a] + h[b] + symmetricH(g.r[a], g.r[b], lambda, mu));
+            SymOf<V> edge = fifth * (h[a] + h[b] + symmetricH(g.r[a], g.r[b], lambda, mu));
             if constexpr (MEAN) edge = edge + square(quarter_mean, g.r[a] + g.r[b]);
-            storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, edge, mass * (2.0 / 105));
+            storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, edge, mass * all<V>(2.0 / 105));
           }
         }
       }
@@ -440,29 +444,49 @@ void sumShares(const NodeShares& lists, int begin, int end, const double* shares
   });
 }
 
-void sumDiagonals(const NodeShares& lists, int begin, int end, const double* shares, double* out)
+/** Half a diagonal block, or all of it where a register has room. */
+constexpr int PART = WIDTH == 8 ? 8 : 4, PARTS = DIAGONAL_STRIDE / PART;
+using DiagonalPart = double __attribute__((vector_size(sizeof(double) * PART)));
+using SingleDiagonalPart = float __attribute__((vector_size(sizeof(float) * PART)));
+
+template <class From, class Scalar>
+ALWAYS_INLINE void sumDiagonals(const NodeShares& lists, int begin, int end, const Scalar* shares, double factor,
+                                double* out)
 {
   for (int i = begin; i < end; i += NODE_GROUP)
   {
-    Node sum[NODE_GROUP][2] = {};
+    DiagonalPart sum[NODE_GROUP][PARTS] = {};
     for (long step = lists.begin[i / NODE_GROUP]; step < lists.begin[i / NODE_GROUP + 1]; ++step)
     {
       for (int k = 0; k < NODE_GROUP; ++k)
       {
-        // A node has two rows of shares, one after the other.
-        const long slot = lists.slots[NODE_GROUP * step + k];
-        const double* from = shares + 2 * slot - slot % SHARES;
-        sum[k][0] += *reinterpret_cast<const Node*>(from);
-        sum[k][1] += *reinterpret_cast<const Node*>(from + SHARES);
+        const Scalar* from = shares + 2L * lists.slots[NODE_GROUP * step + k];  // a node has 8 numbers, not 4
+        for (int part = 0; part < PARTS; ++part)
+        {
+          sum[k][part] += __builtin_convertvector(*reinterpret_cast<const From*>(from + static_cast<long>(PART) * part),
+                                                  DiagonalPart);
+        }
       }
     }
     for (int k = 0; k < NODE_GROUP && i + k < end; ++k)
     {
       double* to = out + static_cast<long>(DIAGONAL_STRIDE) * (i + k);
-      *reinterpret_cast<Node*>(to) = sum[k][0];
-      *reinterpret_cast<Node*>(to + 4) = sum[k][1];
+      for (int part = 0; part < PARTS; ++part)
+      {
+        *reinterpret_cast<DiagonalPart*>(to + static_cast<long>(PART) * part) = factor * sum[k][part];
+      }
     }
   }
+}
+
+void sumDoubleDiagonals(const NodeShares& lists, int begin, int end, const double* shares, double* out)
+{
+  sumDiagonals<DiagonalPart>(lists, begin, end, shares, 1, out);
+}
+
+void sumSingleDiagonals(const NodeShares& lists, int begin, int end, const float* shares, double factor, double* out)
+{
+  sumDiagonals<SingleDiagonalPart>(lists, begin, end, shares, factor, out);
 }
 
 double dot(int begin, int end, const double* a, const double* b)
@@ -479,17 +503,119 @@ double dot(int begin, int end, const double* a, const double* b)
   return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
+/** See Table::invert_blocks(): WIDTH blocks side by side. */
+ALWAYS_INLINE Vec invertBlocks(const unsigned char* held, const double* mass, double* blocks, Mask& indefinite)
+{
+  Bytes axes;
+  __builtin_memcpy(&axes, held, sizeof(axes));
+  const Mask bits = __builtin_convertvector(axes, Mask);
+  const Mask x = (bits & 1) != 0, y = (bits & 2) != 0, z = (bits & 4) != 0;
+  int diagonal[WIDTH], others[WIDTH];
+  for (int k = 0; k < WIDTH; ++k)
+  {
+    diagonal[k] = 2 * k;
+    others[k] = 2 * k + 1;
+  }
+  const Vec3 on = gather(blocks, diagonal), off = gather(blocks, others);
+  // What is held has a row and a column of the unit matrix.
+  const Vec zero = Vec{}, one = zero + 1;
+  const Vec xx = x ? one : on.x, yy = y ? one : on.y, zz = z ? one : on.z;
+  const Vec xy = x | y ? zero : off.x, xz = x | z ? zero : off.y, yz = y | z ? zero : off.z;
+  const Vec minor = xx * yy - xy * xy, of_xx = yy * zz - yz * yz, of_xy = xz * yz - xy * zz, of_xz = xy * yz - xz * yy;
+  const Vec det = xx * of_xx + xy * of_xy + xz * of_xz, scale = 1 / det;
+  indefinite |= ~((xx > 0) & (minor > 0) & (det > 0));
+  const Vec3 inverse_on = {x ? zero : scale * of_xx, y ? zero : scale * (xx * zz - xz * xz), z ? zero : scale * minor};
+
+  double rows[2 * SHARES] __attribute__((aligned(64)));
+  storeShares(rows, 0, inverse_on, Vec3{scale * of_xy, scale * of_xz, scale * (xy * xz - xx * yz)});
+  for (int k = 0; k < WIDTH; ++k)
+  {
+    for (int part = 0; part < PARTS; ++part)
+    {
+      const long at = static_cast<long>(PART) * part;
+      *reinterpret_cast<DiagonalPart*>(blocks + static_cast<long>(DIAGONAL_STRIDE) * k + at) =
+          *reinterpret_cast<const DiagonalPart*>(rows + static_cast<long>(DIAGONAL_STRIDE) * slotOf(k) + at);
+    }
+  }
+  Vec masses;
+  __builtin_memcpy(&masses, mass, sizeof(masses));
+  return masses * masses * (inverse_on.x + inverse_on.y + inverse_on.z);
+}
+
+double invertBlocks(int begin, int end, const unsigned char* held, const double* mass, double* blocks, bool* definite)
+{
+  Vec sum = {};
+  Mask indefinite = {};
+  int i = begin;
+  for (; i + WIDTH <= end; i += WIDTH)
+  {
+    sum += invertBlocks(held + i, mass + i, blocks + static_cast<long>(DIAGONAL_STRIDE) * i, indefinite);
+  }
+  if (i < end)
+  {
+    // The others of the last register are unit matrices without a mass.
+    double some[DIAGONAL_STRIDE * WIDTH] __attribute__((aligned(64))) = {}, masses[WIDTH] = {};
+    unsigned char axes[WIDTH] = {};
+    for (int k = 0; k < WIDTH; ++k)
+    {
+      for (int axis = 0; axis < 3; ++axis) some[DIAGONAL_STRIDE * k + axis] = 1;
+    }
+    const unsigned long count = end - i;
+    double* own = blocks + static_cast<long>(DIAGONAL_STRIDE) * i;
+    __builtin_memcpy(some, own, DIAGONAL_STRIDE * sizeof(double) * count);
+    __builtin_memcpy(masses, mass + i, sizeof(double) * count);
+    __builtin_memcpy(axes, held + i, count);
+    sum += invertBlocks(axes, masses, some, indefinite);
+    __builtin_memcpy(own, some, DIAGONAL_STRIDE * sizeof(double) * count);
+  }
+  if (any(indefinite)) *definite = false;
+  double total = 0;
+  for (int k = 0; k < WIDTH; ++k) total += sum[k];
+  return total / 3;
+}
+
+/** B^-1 r of a node. */
+ALWAYS_INLINE Node timesInverse(const double* inverse, int node, Node r)
+{
+  const Node on = loadNode(inverse, 2 * node), off = loadNode(inverse, 2 * node + 1);
+  return on * r + __builtin_shufflevector(off, off, 0, 0, 1, 3) * __builtin_shufflevector(r, r, 1, 0, 0, 3) +
+         __builtin_shufflevector(off, off, 1, 2, 2, 3) * __builtin_shufflevector(r, r, 2, 2, 1, 3);
+}
+
+void timesInverse(int begin, int end, const double* inverse, const double* r, double* z)
+{
+  for (int i = begin; i < end; ++i) *reinterpret_cast<Node*>(z + 4L * i) = timesInverse(inverse, i, loadNode(r, i));
+}
+
+double norm2(int begin, int end, const double* inverse, const double* r)
+{
+  Node sum = {0, 0, 0, 0};
+  for (int i = begin; i < end; ++i) sum += loadNode(r, i) * timesInverse(inverse, i, loadNode(r, i));
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+double residual(int begin, int end, const double* b, const double* q, const double* inverse, double* r)
+{
+  Node sum = {0, 0, 0, 0};
+  for (int i = begin; i < end; ++i)
+  {
+    const Node res = loadNode(b, i) - loadNode(q, i);
+    *reinterpret_cast<Node*>(r + 4L * i) = res;
+    sum += res * timesInverse(inverse, i, res);
+  }
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
 double advance(int begin, int end, double a, const double* p, const double* q, const double* inverse, double* x,
                double* r, double* z)
 {
   Node sum = {0, 0, 0, 0};
   for (int i = begin; i < end; ++i)
   {
-    const double* columns = inverse + static_cast<long>(INVERSE_STRIDE) * i;
     *reinterpret_cast<Node*>(x + 4L * i) += a * loadNode(p, i);
     const Node res = loadNode(r, i) - a * loadNode(q, i);
     *reinterpret_cast<Node*>(r + 4L * i) = res;
-    const Node pre = res[0] * loadNode(columns, 0) + res[1] * loadNode(columns, 1) + res[2] * loadNode(columns, 2);
+    const Node pre = timesInverse(inverse, i, res);
     *reinterpret_cast<Node*>(z + 4L * i) = pre;
     sum += res * pre;
   }
@@ -540,12 +666,14 @@ void forceWorkAny(const Elements& elements, int begin, int end, const double* ro
   work(elements, begin, end, rotated, x, d, sums);
 }
 
+template <class V, class Scalar>
 void addDiagonalAny(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
-                    double* shares)
+                    Scalar* shares)
 {
-  const auto one = elements.mean ? addDiagonal<10, 1, true> : addDiagonal<10, 1, false>;
-  const auto four = elements.mean ? addDiagonal<10, 4, true> : addDiagonal<10, 4, false>;
-  const auto add = elements.nodes_per_tet == 4 ? addDiagonal<4, 1, false> : elements.points == 1 ? one : four;
+  const auto one = elements.mean ? addDiagonal<V, 10, 1, true, Scalar> : addDiagonal<V, 10, 1, false, Scalar>;
+  const auto four = elements.mean ? addDiagonal<V, 10, 4, true, Scalar> : addDiagonal<V, 10, 4, false, Scalar>;
+  const auto linear = addDiagonal<V, 4, 1, false, Scalar>;
+  const auto add = elements.nodes_per_tet == 4 ? linear : elements.points == 1 ? one : four;
   add(elements, begin, end, rotated, alpha, beta, shares);
 }
 }  // namespace
@@ -562,7 +690,8 @@ const Table TABLE = {
     addProductAny,
     addForceAny,
     forceWorkAny,
-    addDiagonalAny,
+    addDiagonalAny<Vec, double>,
+    addDiagonalAny<SingleVec, float>,
     elementMatricesAny,
     warpedMatricesAny,
     addBySearchAny,
@@ -572,8 +701,13 @@ const Table TABLE = {
     fuseBlocksAny,
     blockProduct,
     sumShares,
-    sumDiagonals,
+    sumDoubleDiagonals,
+    sumSingleDiagonals,
+    invertBlocks,
     dot,
+    timesInverse,
+    norm2,
+    residual,
     advance,
     redirect,
     singleProductAny,

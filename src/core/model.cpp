@@ -282,9 +282,16 @@ void setMaterials(Model& model, const std::vector<Material>& materials)
   model.block_coefficients.assign(static_cast<std::size_t>(model.num_blocks) * 3 * LANES, 0.0);
   model.block_mean.clear();
   model.node_mass.assign(model.num_nodes, 0.0);
+  model.largest_mass = model.largest_stiffness = model.largest_condition = 0;
   for (int t = 0; t < model.num_tets; ++t)
   {
     const Material& m = model.materials[t];
+    const double modulus = lameLambda(m) + 2 * lameMu(m), volume = model.volumes[t];
+    const double slope2 =
+        model.gradients.middleCols<3>(3 * static_cast<Eigen::Index>(t)).colwise().squaredNorm().maxCoeff();
+    model.largest_mass = std::max(model.largest_mass, volume * m.density);
+    model.largest_stiffness = std::max(model.largest_stiffness, volume * modulus * slope2);
+    model.largest_condition = std::max(model.largest_condition, modulus / lameMu(m));
     double* c = model.block_coefficients.data() + static_cast<std::size_t>(t / LANES) * 3 * LANES + t % LANES;
     c[0] = model.volumes[t] * lameLambda(m);
     c[LANES] = model.volumes[t] * lameMu(m);

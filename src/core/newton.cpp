@@ -6,6 +6,7 @@
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/measures.h"
 #include "forces.h"
+#include "parallel.h"
 #include "stopwatch.h"
 
 namespace bezier_fem
@@ -139,7 +140,10 @@ bool GreenNewton::search(const NodalField& direction, int trials)
 bool extrapolate(const Stage& stage, Workspace& w)
 {
   if (stage.past == 0 || (stage.past == 1 && stage.ahead != 0)) return false;
-  w.change.matrix() = (1 + stage.ahead) * w.past[0].matrix() - stage.ahead * w.past[1].matrix();
+  forEachChunk(w.partition, [&](int first, int count) {
+    w.change.columns(first, count) =
+        (1 + stage.ahead) * w.past[0].columns(first, count) - stage.ahead * w.past[1].columns(first, count);
+  });
   return true;
 }
 

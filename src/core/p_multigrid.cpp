@@ -298,17 +298,16 @@ private:
           for (std::ptrdiff_t k = 0; k < BLOCK; ++k) to[k] += static_cast<float>(from[q * BLOCK + k]);
         }
         for (std::ptrdiff_t k = 0; k < BLOCK && rotations.points > 1; ++k) to[k] /= points;
-      }
-      for (std::ptrdiff_t row = 3L * partition_.blockBegin(t); row < 3L * partition_.blockEnd(t); ++row)
-      {
-        const double factor = row % 3 == 2 ? alpha : beta;
-        const double* from = model_.block_coefficients.data() + row * LANES;
-        for (int k = 0; k < LANES; ++k) coefficients_[row * LANES + k] = static_cast<float>(factor * from[k]);
-      }
-      if (mean_.empty()) return;
-      for (std::ptrdiff_t k = LANES * partition_.blockBegin(t); k < LANES * partition_.blockEnd(t); ++k)
-      {
-        mean_[k] = static_cast<float>(beta * model_.block_mean[k]);
+
+        const auto take = [](const AlignedVector<double>& numbers, double factor, std::ptrdiff_t first,
+                             AlignedVector<float>& taken) {
+          for (std::ptrdiff_t k = first; k < first + LANES; ++k) taken[k] = static_cast<float>(factor * numbers[k]);
+        };
+        const std::ptrdiff_t first = 3 * LANES * block;
+        take(model_.block_coefficients, beta, first, coefficients_);
+        take(model_.block_coefficients, beta, first + LANES, coefficients_);
+        take(model_.block_coefficients, alpha, first + 2 * LANES, coefficients_);
+        if (!mean_.empty()) take(model_.block_mean, beta, LANES * block, mean_);
       }
     });
   }
@@ -317,14 +316,15 @@ private:
   double takeInverse(double alpha, const AlignedVector<double>& inverse)
   {
     constexpr int GROUP = kernels::NODE_GROUP;
+    constexpr std::array<int, 12> PLACE{0, 4, 5, 3, 4, 1, 6, 3, 5, 6, 2, 3};  // of columns' numbers in a block
     return sum([&](int begin, int end) {
       double share = 0;
       for (std::ptrdiff_t i = begin; i < end; ++i)
       {
-        const double* from = inverse.data() + kernels::INVERSE_STRIDE * i;
+        const double* from = inverse.data() + kernels::DIAGONAL_STRIDE * i;
         float* to = inverse_.data() + i / GROUP * 12 * GROUP + i % GROUP * 4;
-        for (int k = 0; k < 12; ++k) to[4 * GROUP * (k / 4) + k % 4] = static_cast<float>(from[k]);
-        share += alpha * model_.node_mass[i] * (from[0] + from[5] + from[10]) / 3;
+        for (int k = 0; k < 12; ++k) to[4 * GROUP * (k / 4) + k % 4] = static_cast<float>(from[PLACE[k]]);
+        share += alpha * model_.node_mass[i] * (from[0] + from[1] + from[2]) / 3;
       }
       return share;
     });

@@ -30,6 +30,18 @@ void forEachPiece(const Partition& partition, const F& f)
   forEachPiece(partition.threads(), partition.pieces(), f);
 }
 
+/** Calls f(first, count) for every chunk of nodes, at the same time where there are several threads. */
+template <class F>
+void forEachChunk(const Partition& partition, const F& f)
+{
+  forEachPiece(partition, [&](int t) {
+    for (int chunk = partition.chunkBegin(t); chunk < partition.chunkEnd(t); ++chunk)
+    {
+      f(partition.firstOf(chunk), partition.firstOf(chunk + 1) - partition.firstOf(chunk));
+    }
+  });
+}
+
 /**
  * The sum of f(begin, end) over chunks of nodes, in an order that does not depend on the threads.
  * @param partial  scratch, a number a chunk

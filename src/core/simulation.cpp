@@ -441,7 +441,7 @@ bool Simulation::staysAsleep()
 {
   NodalField &load = workspace_->load, &place = workspace_->led;
   const double middle = state_.time + settings_.time_step / 2;  // loads that come and go do so between steps
-  externalForce(model_, settings_, loads_, external_forces_, middle, state_.x, load);
+  externalForce(model_, workspace_->partition, settings_, loads_, external_forces_, middle, state_.x, load);
   place.matrix() = state_.x.matrix();
   applySupports(supports_, state_.time + settings_.time_step, 1, place);
   if (!rest_->isOtherLoad(load) && !rest_->isOtherPlace(place, state_.x)) return true;

@@ -42,7 +42,7 @@ public:
   /** Leaves the loads in Workspace::load and the forces out of balance in Workspace::rhs. */
   void evaluate(const NodalField& x, const Rotations& rotations)
   {
-    externalForce(model_, settings_, loads_, external_, time_, x, w_.load);
+    externalForce(model_, w_.partition, settings_, loads_, external_, time_, x, w_.load);
     elasticForce(model_, w_.partition, rotations, x, w_.force);
     w_.rhs.matrix() = w_.load.matrix() - w_.force.matrix();
   }
@@ -79,7 +79,7 @@ StepReport greenEquilibrium(const Model& model, const StepSettings& settings, co
   double before = 0;
   for (int round = 0;; ++round)
   {
-    externalForce(model, settings, loads, external, state.time, state.x, w.load);
+    externalForce(model, w.partition, settings, loads, external, state.time, state.x, w.load);
     m.quadratic.matrix() = -w.load.matrix();
     newton.start();
     const Norms out_of_balance = norms(supports, m.gradient, model.num_nodes);

@@ -1,6 +1,7 @@
 #include "bezier_fem/step.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <functional>
 #include <numeric>
@@ -12,6 +13,7 @@
 #include "forces.h"
 #include "linear_solve.h"
 #include "newton.h"
+#include "parallel.h"
 #include "stopwatch.h"
 
 namespace bezier_fem
@@ -63,8 +65,10 @@ public:
       if (h < settings_.time_step && left - h < 0.5 * shortest) h = left;
       if (w_.history_is_of_stages != report.second_order) w_.history = 0;
       w_.history_is_of_stages = report.second_order;
-      w_.x_before.matrix() = state_.x.matrix();
-      w_.v_before.matrix() = state_.v.matrix();
+      forEachChunk(w_.partition, [&](int first, int count) {
+        w_.x_before.columns(first, count) = state_.x.columns(first, count);
+        w_.v_before.columns(first, count) = state_.v.columns(first, count);
+      });
       StepReport attempt = report;
       const double lag = report.second_order ? sdirk2(h, attempt) : euler(h, attempt);
       const auto takeBack = [&] {
@@ -181,19 +185,25 @@ private:
     // Led components: the first stage has the slope of a chord around its end, so that the second one's velocity,
     // which takes them to where they have to be, is of second order too.
     leadTo(2 * stage);
-    w_.led.matrix() = (w_.led.matrix() + state_.x.matrix()) / 2;
+    forEachHeld([&](int i) { w_.led[i] = (w_.led[i] + state_.x[i]) / 2; });
     NodalField& x = w_.predicted;
-    x.matrix() = state_.x.matrix() + stage * state_.v.matrix();
+    forEachChunk(w_.partition, [&](int first, int count) {
+      x.columns(first, count) = state_.x.columns(first, count) + stage * state_.v.columns(first, count);
+    });
     turn(x, state_.rotations, w_.stage_rotations, report);
     takeLoads(load_time, x, report);
     solveStage({stage, known, lasting, 1 / ahead}, w_.stage_rotations, report);
     remember();
     if (!report.finite) return 0;
 
-    x.matrix() = state_.v.matrix() - w_.v_before.matrix();
-    state_.v.matrix() = w_.v_before.matrix() + ahead * x.matrix();
-    state_.x.matrix() = w_.x_before.matrix() + ahead * (state_.x.matrix() - w_.x_before.matrix());
-    x.matrix() = state_.x.matrix() + stage * (state_.v.matrix() + x.matrix());
+    forEachChunk(w_.partition, [&](int first, int count) {
+      const auto x_before = w_.x_before.columns(first, count), v_before = w_.v_before.columns(first, count);
+      auto now = state_.x.columns(first, count), v = state_.v.columns(first, count), next = x.columns(first, count);
+      next = v - v_before;
+      v = v_before + ahead * next;
+      now = x_before + ahead * (now - x_before);
+      next = now + stage * (v + next);
+    });
     turn(x, w_.stage_rotations, w_.candidate, report);
     takeLoads(load_time, x, report);
     leadTo(h);
@@ -206,14 +216,26 @@ private:
   void takeLoads(double time, const NodalField& x, StepReport& report)
   {
     Stopwatch watch;
-    externalForce(model_, settings_, loads_, external_, time, x, w_.load);
+    externalForce(model_, w_.partition, settings_, loads_, external_, time, x, w_.load);
     watch.lap(report.ms.force);
   }
 
-  /** Sets where led and held components have to be in `ahead` seconds. */
+  /** Calls f(node) for nodes of which a component is held. */
+  template <class F>
+  void forEachHeld(const F& f)
+  {
+    forEachPiece(w_.partition, [&](int t) {
+      for (int i = w_.partition.nodeBegin(t); i < w_.partition.nodeEnd(t); ++i)
+      {
+        if (supports_.held[i]) f(i);
+      }
+    });
+  }
+
+  /** Sets where led and held components have to be in `ahead` seconds; those of other nodes are not looked at. */
   void leadTo(double ahead)
   {
-    w_.led.matrix() = state_.x.matrix();
+    forEachHeld([&](int i) { w_.led[i] = state_.x[i]; });
     applySupports(supports_, state_.time + ahead, (state_.time + ahead - begin_) / settings_.time_step, w_.led);
   }
 
@@ -222,6 +244,31 @@ private:
   {
     std::rotate(w_.past.begin(), w_.past.end() - 1, w_.past.end());
     w_.past[0].matrix() = w_.change.matrix();
+  }
+
+  /**
+   * Makes of where led and held components have to be in h the change of v that takes them there, zero where not held.
+   * @return  whether there is any; otherwise nodes without a held component are left as they are
+   */
+  bool changeOfLed(double h)
+  {
+    std::atomic<bool> any = false;
+    forEachHeld([&](int i) {
+      for (int axis = 0; axis < 3; ++axis)
+      {
+        double& led = w_.led[i][axis];
+        led = supports_.held[i] >> axis & 1 ? (led - state_.x[i][axis]) / h - state_.v[i][axis] : 0;
+        if (led != 0) any.store(true, std::memory_order_relaxed);
+      }
+    });
+    if (!any) return false;
+    forEachPiece(w_.partition, [&](int t) {
+      for (int i = w_.partition.nodeBegin(t); i < w_.partition.nodeEnd(t); ++i)
+      {
+        if (!supports_.held[i]) w_.led[i].setZero();
+      }
+    });
+    return true;
   }
 
   double turn(const NodalField& x, const Rotations& before, Rotations& after, StepReport& report)
@@ -254,13 +301,22 @@ private:
     const double h = stage.length, damp_m = settings_.damping.mass, damp_k = settings_.damping.stiffness;
 
     // f_el(x) + (h + b) K' v = f_el(x + (h + b) v), because f_el is affine while the rotations are held.
-    w_.predicted.matrix() = state_.x.matrix() + (h + damp_k) * state_.v.matrix();
+    forEachChunk(w_.partition, [&](int first, int count) {
+      w_.predicted.columns(first, count) =
+          state_.x.columns(first, count) + (h + damp_k) * state_.v.columns(first, count);
+    });
     elasticForce(model_, w_.partition, rotations, w_.predicted, w_.force);
-    w_.rhs.matrix() = h * (w_.load.matrix() - w_.force.matrix());
+    forEachChunk(w_.partition, [&](int first, int count) {
+      w_.rhs.columns(first, count) = h * (w_.load.columns(first, count) - w_.force.columns(first, count));
+    });
+    const auto subtractForce = [&] {
+      forEachChunk(w_.partition,
+                   [&](int first, int count) { w_.rhs.columns(first, count) -= w_.force.columns(first, count); });
+    };
     if (damp_m > 0)
     {
       systemProduct(model_, w_.partition, rotations, h * damp_m, 0, state_.v, w_.force);
-      w_.rhs.matrix() -= w_.force.matrix();
+      subtractForce();
     }
     watch.lap(report.ms.force);
 
@@ -270,20 +326,11 @@ private:
         prepareSystem(model_, settings_, supports_, matrix_free, rotations, alpha, beta, 1e-3 * h, w_);
     watch.lap(report.ms.assembly);
 
-    // Led components: the dv that takes them to where they have to be.
-    w_.led.matrix() = (w_.led.matrix() - state_.x.matrix()) / h - state_.v.matrix();
-    for (int i = 0; i < model_.num_nodes; ++i)
-    {
-      for (int axis = 0; axis < 3; ++axis)
-      {
-        if (!(supports_.held[i] >> axis & 1)) w_.led[i][axis] = 0;
-      }
-    }
-    const bool led = !(w_.led.matrix().array() == 0).all();
+    const bool led = changeOfLed(h);
     if (led)
     {
       system.product(w_.led, w_.force);
-      w_.rhs.matrix() -= w_.force.matrix();
+      subtractForce();
     }
 
     // The nearest start costs as much as two or three iterations with the diagonal blocks, which is what it saves where
@@ -305,12 +352,16 @@ private:
                                                              : Serves::SAME_COEFFICIENTS,
                 w_, report);
     w_.last_iterations = report.iterations - before;
-    w_.balance.matrix() = w_.solver.residual().matrix() / -h;
-
-    state_.v.matrix() += w_.change.matrix();
-    if (led) state_.v.matrix() += w_.led.matrix();
-    state_.x.matrix() += h * state_.v.matrix();
-    report.finite = state_.x.matrix().allFinite();
+    std::atomic<bool> finite = true;
+    forEachChunk(w_.partition, [&](int first, int count) {
+      w_.balance.columns(first, count) = w_.solver.residual().columns(first, count) / -h;
+      auto v = state_.v.columns(first, count), x = state_.x.columns(first, count);
+      v += w_.change.columns(first, count);
+      if (led) v += w_.led.columns(first, count);
+      x += h * v;
+      if (!x.allFinite()) finite.store(false, std::memory_order_relaxed);
+    });
+    report.finite = finite;
     watch.lap(report.ms.solve);
   }
 

@@ -6,6 +6,7 @@
 #include <Eigen/Eigenvalues>
 #include <numeric>
 
+#include "bezier_fem/conjugate_gradient.h"
 #include "bezier_fem/measures.h"
 #include "bezier_fem/stable_step.h"
 #include "core/bar.h"
@@ -185,6 +186,26 @@ struct Bent
   Rotations rotations;
 };
 
+/** How far systemDiagonal() is from the blocks of the reference, relative to each. */
+double diagonalError(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,
+                     double beta, const MatrixXd& reference)
+{
+  AlignedVector<double> blocks(static_cast<std::size_t>(model.num_nodes) * kernels::DIAGONAL_STRIDE);
+  systemDiagonal(model, partition, rotations, alpha, beta, blocks);
+  double largest = 0;
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    const double* d = blocks.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i;
+    Matrix3d block;
+    block << d[0], d[4], d[5], d[4], d[1], d[6], d[5], d[6], d[2];
+    const Matrix3d expected = reference.block<3, 3>(3L * i, 3L * i);
+    const double error = (block - expected).norm() / expected.norm();
+    EXPECT_TRUE(std::isfinite(error));
+    largest = std::max(largest, error);
+  }
+  return largest;
+}
+
 TEST_P(EveryElement, OperatorEqualsItsDenseReference)
 {
   const Model model = box({2, 1, 2}, {0.5, 0.3, 0.6});
@@ -195,16 +216,63 @@ TEST_P(EveryElement, OperatorEqualsItsDenseReference)
   EXPECT_EQ(model.block_mean.empty(), !model.quadratic() || GetParam().dilatation == Dilatation::FULL);
   EXPECT_LT((A - reference).norm(), 1e-13 * reference.norm());
   EXPECT_LT((A - A.transpose()).norm(), 1e-14 * reference.norm());
+  EXPECT_LT(diagonalError(model, partition, bent.rotations, 1.5, 0.02, reference), 1e-6);
+  EXPECT_GT(diagonalError(model, partition, bent.rotations, 1.5, 0.02, reference), 1e-9);  // in single precision
+}
 
-  AlignedVector<double> blocks(static_cast<std::size_t>(model.num_nodes) * kernels::DIAGONAL_STRIDE);
-  systemDiagonal(model, partition, bent.rotations, 1.5, 0.02, blocks);
-  for (int i = 0; i < model.num_nodes; ++i)
+TEST_P(EveryElement, DiagonalBlocksAreDefiniteHoweverIncompressible)
+{
+  for (const double poisson : {-0.99, 0.0, 0.4999, 0.49994, 0.49996, 0.499999})
   {
-    const double* d = blocks.data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i;
-    Matrix3d block;
-    block << d[0], d[4], d[5], d[4], d[1], d[6], d[5], d[6], d[2];
-    const Matrix3d expected = reference.block<3, 3>(3L * i, 3L * i);
-    EXPECT_LT((block - expected).norm(), 1e-13 * expected.norm());
+    SCOPED_TRACE(poisson);
+    const Model model = test::boxModel(test::irregularBox({2, 1, 2}, {0.5, 0.3, 0.6}), GetParam().element,
+                                       {3e6, poisson, 1100}, GetParam().dilatation);
+    const Partition partition(model, 1);
+    const Bent bent(model, partition, GetParam().rule);
+    const HeldAxes held(model.num_nodes, 0);
+    ConjugateGradient solver(model, partition);
+    for (const double alpha : {0.0, 1.0})
+    {
+      const MatrixFreeSystem<Rotations> system(model, partition, bent.rotations, alpha, 0.02);
+      const MatrixXd reference = denseSystem(model, bent.rotations, alpha, 0.02);
+      EXPECT_LT(diagonalError(model, partition, bent.rotations, alpha, 0.02, reference),
+                poisson > 0.49995 ? 1e-12 : 1e-6);
+      EXPECT_TRUE(solver.prepare(system, model, partition, held, 0));
+      for (int i = 0; i < model.num_nodes; ++i)
+      {
+        const double* d = solver.inverse().data() + static_cast<std::ptrdiff_t>(kernels::DIAGONAL_STRIDE) * i;
+        Matrix3d inverse;
+        inverse << d[0], d[4], d[5], d[4], d[1], d[6], d[5], d[6], d[2];
+        const Matrix3d product = inverse * reference.block<3, 3>(3L * i, 3L * i);
+        EXPECT_LT((product - Matrix3d::Identity()).norm(), 1e-2);
+      }
+    }
+  }
+}
+
+TEST_P(EveryElement, DiagonalBlocksAreRightInAnyUnits)
+{
+  // A body of atoms, one of stars, and materials to go with them or not.
+  for (const double size : {1e-12, 1e-6, 1.0, 1e6, 1e12})
+  {
+    for (const double young : {1e-15, 1.0, 1e15})
+    {
+      for (const double density : {1e-15, 1.0, 1e15})
+      {
+        const Model model = test::boxModel(test::irregularBox({2, 1, 2}, Vector3d(0.5, 0.3, 0.6) * size),
+                                           GetParam().element, {young, 0.45, density}, GetParam().dilatation);
+        const Partition partition(model, 1);
+        const Rotations rotations = rest(model);
+        for (const double h : {1e-9, 0.01, 1e3})
+        {
+          const MatrixXd reference = denseSystem(model, rotations, 1, h * h);
+          EXPECT_LT(diagonalError(model, partition, rotations, 1, h * h, reference), 1e-6)
+              << size << " m, " << young << " Pa, " << density << " kg/m^3, " << h << " s";
+        }
+        EXPECT_LT(diagonalError(model, partition, rotations, 1, 0, denseSystem(model, rotations, 1, 0)), 1e-6);
+        EXPECT_LT(diagonalError(model, partition, rotations, 0, 1, denseSystem(model, rotations, 0, 1)), 1e-6);
+      }
+    }
   }
 }
 
@@ -233,7 +301,13 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
     EXPECT_EQ(difference.norm(), 0);
     systemProduct(model, partition, bent.rotations, 2, 0.3, u, again);
     EXPECT_EQ((again.matrix() - product.matrix()).norm(), 0);
+    AlignedVector<double> diagonal(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes);
+    AlignedVector<double> by_one(diagonal.size());
+    systemDiagonal(model, partition, bent.rotations, 2, 0.3, diagonal);
+    systemDiagonal(model, one, bent.rotations, 2, 0.3, by_one);
+    EXPECT_EQ(diagonal, by_one);
   }
+  AlignedVector<double> diagonal_reference;
   int sets = 0;
   for (const char* name : {"portable", "avx2", "avx512"})
   {
@@ -260,15 +334,20 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
     EXPECT_NEAR(std::accumulate(sums.begin(), sums.end(), 0.0), work, 1e-14 * scale) << name;
 
     AlignedVector<double> diagonal(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes, 0.0);
-    AlignedVector<double> diagonal_reference(diagonal.size());
     std::fill(shares.begin(), shares.end(), 0.0);
     table->add_diagonal(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2, 0.3,
                         shares.data() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
     table->sum_diagonals(lists, 0, model.num_nodes, shares.data(), diagonal.data());
-    systemDiagonal(model, one, bent.rotations, 2, 0.3, diagonal_reference);
+    if (diagonal_reference.empty()) diagonal_reference = diagonal;
+    AlignedVector<double> single(diagonal.size(), 0.0);
+    AlignedVector<float> single_shares(shares.size());
+    table->add_single_diagonal(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2e-6, 0.3e-6,
+                               single_shares.data() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
+    table->sum_single_diagonals(lists, 0, model.num_nodes, single_shares.data(), 1e6, single.data());
     for (std::size_t k = 0; k < diagonal.size(); ++k)
     {
       ASSERT_NEAR(diagonal[k], diagonal_reference[k], 1e-13 * std::abs(diagonal_reference[k - k % 8])) << name;
+      ASSERT_NEAR(single[k], diagonal_reference[k], 3e-6 * std::abs(diagonal_reference[k - k % 8])) << name;
     }
     Rotations rotations = rest(model);
     AlignedVector<double> turned(rotations.flags.size());

@@ -5,7 +5,8 @@
 
 #include <gtest/gtest.h>
 
-#include <Eigen/Core>
+#include <Eigen/Dense>
+#include <cmath>
 #include <limits>
 #include <numeric>
 
@@ -148,6 +149,9 @@ TEST_P(DoubleKernels, LeaveFourthNumbersZero)
     check(1, [&](int begin, int end, double* to) { table->add_force(elements, begin, end, rotated, x.data(), to); });
     check(2,
           [&](int begin, int end, double* to) { table->add_diagonal(elements, begin, end, rotated, ALPHA, BETA, to); });
+    expectFourthNumbersZero(shares<float>(2, [&](int begin, int end, float* to) {
+      table->add_single_diagonal(elements, begin, end, rotated, ALPHA, BETA, to);
+    }));
     check(1, [&](int begin, int end, double* to) { green.add_force(one, begin, end, rest, x.data(), to); });
     check(1, [&](int begin, int end, double* to) {
       green.add_product(one, begin, end, rest, tangent.blocks.data(), ALPHA, BETA, u.data(), to);
@@ -190,6 +194,171 @@ TEST_P(DoubleKernels, RotationsDoNotDependOnThoseMadeAtTheSameTime)
       EXPECT_EQ(parts.gradients, together.gradients);
       EXPECT_EQ(parts.flags, together.flags);
     }
+  }
+}
+
+/** 3x3 blocks of nodes, of more than one chunk, of which the last register is not full. */
+class BlockKernels : public testing::Test
+{
+protected:
+  static constexpr int COUNT = Partition::CHUNK + 131;
+  std::vector<Eigen::Matrix3d> matrices = random();
+  std::vector<unsigned char> held = someHeld();
+  NodalField r = test::randomField(COUNT, 21), b = test::randomField(COUNT, 22);
+
+  static std::vector<Eigen::Matrix3d> random()
+  {
+    std::vector<Eigen::Matrix3d> result;
+    const NodalField numbers = test::randomField(3 * COUNT, 20);
+    for (int i = 0; i < COUNT; ++i)
+    {
+      Eigen::Matrix3d m;
+      for (int k = 0; k < 3; ++k) m.col(k) = numbers[3 * i + k];
+      // Of many sizes: units are anybody's.
+      result.emplace_back(std::pow(10.0, i % 41 - 20) * (m * m.transpose() + 0.1 * Eigen::Matrix3d::Identity()));
+    }
+    return result;
+  }
+  /** Every combination of axes. */
+  static std::vector<unsigned char> someHeld()
+  {
+    std::vector<unsigned char> result(COUNT, 0);
+    for (int i = 0; i < COUNT; i += 3) result[i] = static_cast<unsigned char>(i / 3 % 8);
+    return result;
+  }
+  static AlignedVector<double> packed(const std::vector<Eigen::Matrix3d>& from)
+  {
+    AlignedVector<double> result;
+    for (const Eigen::Matrix3d& m : from)
+    {
+      result.insert(result.end(), {m(0, 0), m(1, 1), m(2, 2), 0, m(0, 1), m(0, 2), m(1, 2), 0});
+    }
+    return result;
+  }
+  Eigen::Matrix3d inverse(int i) const
+  {
+    Eigen::Matrix3d mask = Eigen::Matrix3d::Zero();
+    for (int axis = 0; axis < 3; ++axis) mask(axis, axis) = held[i] >> axis & 1 ? 0 : 1;
+    const Eigen::Matrix3d free = mask * matrices[i] * mask + (Eigen::Matrix3d::Identity() - mask);
+    return mask * free.inverse() * mask;
+  }
+  /** In two ranges, as chunks are. */
+  template <class Loop>
+  static double overNodes(const Loop& loop)
+  {
+    return loop(0, Partition::CHUNK) + loop(Partition::CHUNK, COUNT);
+  }
+};
+
+TEST_F(BlockKernels, InvertWhatIsFree)
+{
+  std::vector<double> mass(COUNT);
+  std::vector<Eigen::Matrix3d> inverses;
+  double load = 0;
+  for (int i = 0; i < COUNT; ++i)
+  {
+    mass[i] = 1e-5 * (1 + i % 7) * std::sqrt(matrices[i](0, 0));
+    inverses.push_back(inverse(i));
+    load += mass[i] * mass[i] * inverses.back().trace() / 3;
+  }
+  const AlignedVector<double> expected = packed(inverses);
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    AlignedVector<double> blocks = packed(matrices);
+    bool definite = true;
+    const double sum = overNodes([&](int begin, int end) {
+      return table->invert_blocks(begin, end, held.data(), mass.data(), blocks.data(), &definite);
+    });
+    EXPECT_TRUE(definite);
+    EXPECT_NEAR(sum, load, 1e-12 * load);
+    for (int i = 0; i < COUNT; ++i)
+    {
+      for (int k = 0; k < kernels::DIAGONAL_STRIDE; ++k)
+      {
+        const double found = blocks[kernels::DIAGONAL_STRIDE * i + k];
+        const double tolerance = expected[kernels::DIAGONAL_STRIDE * i + k] == 0 ? 0 : 1e-12 * inverses[i].norm();
+        ASSERT_NEAR(found, expected[kernels::DIAGONAL_STRIDE * i + k], tolerance) << "node " << i;
+      }
+    }
+  }
+}
+
+TEST_F(BlockKernels, TellBlocksThatAreNotPositiveDefinite)
+{
+  const std::vector<double> mass(COUNT, 1.0);
+  const std::vector<Eigen::Vector3d> diagonals{
+      {-1, 2, 2}, {1, -2, 2}, {1, 2, -2}, {0, 1, 1}, {1, std::numeric_limits<double>::quiet_NaN(), 1}};
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    for (const int node : {1, COUNT - 1})
+    {
+      for (const Eigen::Vector3d& diagonal : diagonals)
+      {
+        std::vector<Eigen::Matrix3d> with = matrices;
+        with[node] = diagonal.asDiagonal();
+        // Nor does it matter where it is held.
+        for (const int axes : {0, 7})
+        {
+          AlignedVector<double> blocks = packed(with);
+          held[node] = static_cast<unsigned char>(axes);
+          bool definite = true;
+          table->invert_blocks(0, COUNT, held.data(), mass.data(), blocks.data(), &definite);
+          EXPECT_EQ(definite, axes == 7) << diagonal.transpose();
+        }
+      }
+    }
+  }
+}
+
+TEST_F(BlockKernels, VectorOperationsAreTheirFormulas)
+{
+  // Values of one size.
+  for (Eigen::Matrix3d& m : matrices) m /= m.norm();
+  const AlignedVector<double> blocks = packed(matrices);
+  const double unknown = std::numeric_limits<double>::quiet_NaN();
+  const auto times = [&](const NodalField& of) {
+    NodalField result(COUNT);
+    for (int i = 0; i < COUNT; ++i) result[i] = matrices[i] * of[i];
+    return result;
+  };
+  const auto dot = [](const NodalField& a, const NodalField& c) { return a.matrix().cwiseProduct(c.matrix()).sum(); };
+  const auto distance = [](const NodalField& a, const NodalField& c) {
+    return (a.matrix() - c.matrix()).cwiseAbs().maxCoeff();
+  };
+  const NodalField q = test::randomField(COUNT, 23), p = test::randomField(COUNT, 24);
+  NodalField difference(COUNT), advanced = r;
+  difference.matrix() = b.matrix() - q.matrix();
+  advanced.matrix() -= 0.3 * q.matrix();
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    NodalField z(COUNT), found(COUNT), x = b, rest = r;
+    z.matrix().setConstant(unknown);
+    found.matrix().setConstant(unknown);
+    overNodes([&](int begin, int end) {
+      table->times_inverse(begin, end, blocks.data(), r.data(), z.data());
+      return 0;
+    });
+    EXPECT_LT(distance(z, times(r)), 1e-14);
+    EXPECT_NEAR(overNodes([&](int begin, int end) { return table->norm2(begin, end, blocks.data(), r.data()); }),
+                dot(r, times(r)), 1e-12);
+    EXPECT_NEAR(overNodes([&](int begin, int end) {
+                  return table->residual(begin, end, b.data(), q.data(), blocks.data(), found.data());
+                }),
+                dot(difference, times(difference)), 1e-12);
+    EXPECT_EQ(distance(found, difference), 0);
+    z.matrix().setConstant(unknown);
+    EXPECT_NEAR(overNodes([&](int begin, int end) {
+                  return table->advance(begin, end, 0.3, p.data(), q.data(), blocks.data(), x.data(), rest.data(),
+                                        z.data());
+                }),
+                dot(advanced, times(advanced)), 1e-12);
+    EXPECT_LT(distance(rest, advanced), 1e-15);
+    EXPECT_LT(distance(z, times(advanced)), 1e-14);
+    x.matrix() -= 0.3 * p.matrix();
+    EXPECT_LT(distance(x, b), 1e-15);
   }
 }
 
