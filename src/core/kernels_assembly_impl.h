@@ -105,9 +105,6 @@ inline void storeByElement(const Vec* values, double* out, long stride)
   }
 }
 
-/** Corners of a local control point. */
-constexpr int ENDS[10][2] = {{0, 0}, {1, 1}, {2, 2}, {3, 3}, {0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
-
 /** What an element's matrix is made of: its blocks (I,J), I <= J, row after row of the upper triangle. */
 template <int NODES>
 struct ElementMatrix

@@ -358,6 +358,9 @@ inline void addPressure(SymOf<V>& s, V pressure)
 /** Local control point (a,b); bernstein.h has the same table for the rest of the library. */
 constexpr int POINT[4][4] = {{0, 4, 5, 6}, {4, 1, 7, 8}, {5, 7, 2, 9}, {6, 8, 9, 3}};
 
+/** The corners a <= b of a point. */
+constexpr int ENDS[10][2] = {{0, 0}, {1, 1}, {2, 2}, {3, 3}, {0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
+
 /** The sum of the points (c,d) over c. */
 template <class V>
 inline Vec3Of<V> columnSum(const Vec3Of<V>* u, int d)
@@ -365,22 +368,45 @@ inline Vec3Of<V> columnSum(const Vec3Of<V>* u, int d)
   return u[POINT[0][d]] + u[POINT[1][d]] + u[POINT[2][d]] + u[POINT[3][d]];
 }
 
+/** Calls f(0), ..., f(N - 1) with numbers that the compiler knows, so that what they index can stay in registers. */
+template <class F, int... K>
+ALWAYS_INLINE void unrolled(const F& f, std::integer_sequence<int, K...> /*numbers*/)
+{
+  (f(std::integral_constant<int, K>{}), ...);
+}
+template <int N, class F>
+ALWAYS_INLINE void unrolled(const F& f)
+{
+  unrolled(f, std::make_integer_sequence<int, N>{});
+}
+
+/** f + m v */
+template <class V>
+ALWAYS_INLINE Vec3Of<V> plusTimes(const Vec3Of<V>& f, const SymOf<V>& m, const Vec3Of<V>& v)
+{
+  return {f.x + m.xx * v.x + m.xy * v.y + m.xz * v.z, f.y + m.xy * v.x + m.yy * v.y + m.yz * v.z,
+          f.z + m.xz * v.x + m.yz * v.y + m.zz * v.z};
+}
+
 /**
- * f = K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V. The part `mean`
- * of lambda acts on the element's mean dilatation, the rest at every point.
+ * K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V. The part `mean` of
+ * lambda acts on the element's mean dilatation, the rest at every point.
  * @param rotated  rotated gradients, POINTS times 9 rows of LANES
+ * @param in       u of a node: in(k)
+ * @param give     takes what comes out for a node: give(k, force)
  */
-template <int NODES, int POINTS, bool MEAN, class Scalar, class V>
-ALWAYS_INLINE void elasticForce(const Scalar* rotated, const Vec3Of<V>* u, double identity, V lambda, V mu, V mean,
-                                Vec3Of<V>* f)
+template <int NODES, int POINTS, bool MEAN, class Scalar, class V, class In, class Give>
+ALWAYS_INLINE void elasticForce(const Scalar* rotated, const In& in, double identity, V lambda, V mu, V mean,
+                                const Give& give)
 {
   V dilatation = V{};
   if constexpr (MEAN) lambda -= mean;
   if constexpr (NODES == 4)
   {
     const RotatedGradientsOf<V> g = loadGradients(rotated);
-    const SymOf<V> s = stress(g, u[1] - u[0], u[2] - u[0], u[3] - u[0], identity, lambda, mu, dilatation);
-    for (int a = 0; a < 4; ++a) f[a] = s * g.r[a];
+    const Vec3Of<V> u0 = in(0);
+    const SymOf<V> s = stress(g, in(1) - u0, in(2) - u0, in(3) - u0, identity, lambda, mu, dilatation);
+    unrolled<4>([&](auto a) INLINED { give(a, s * g.r[a]); });
   }
   else if constexpr (POINTS == 1)
   {
@@ -389,31 +415,46 @@ ALWAYS_INLINE void elasticForce(const Scalar* rotated, const Vec3Of<V>* u, doubl
     const RotatedGradientsOf<V> g = loadGradients(rotated);
     lambda = lambda * all<V>(0.2);
     mu = mu * all<V>(0.2);
-    SymOf<V> q[4];
-    for (int c = 0; c < 4; ++c)
-    {
-      const Vec3Of<V>& origin = u[POINT[c][0]];
-      q[c] = stress(g, u[POINT[c][1]] - origin, u[POINT[c][2]] - origin, u[POINT[c][3]] - origin, 0.5 * identity,
-                    lambda, mu, dilatation);
-    }
-    SymOf<V> sum = q[0] + q[1] + q[2] + q[3];
+    const auto at = [&](const Vec3Of<V>& origin, const Vec3Of<V>& u1, const Vec3Of<V>& u2,
+                        const Vec3Of<V>& u3) INLINED {
+      return stress(g, u1 - origin, u2 - origin, u3 - origin, 0.5 * identity, lambda, mu, dilatation);
+    };
+    // Points are asked for when they are needed, and forces given as they come: all of them are more than there are
+    // registers. Written out, with every number in sight; loops would keep it all in memory, for half as long again.
+    const Vec3Of<V> u01 = in(4), u02 = in(5), u03 = in(6);
+    SymOf<V> q0 = at(in(0), u01, u02, u03);
+    const Vec3Of<V> u12 = in(7), u13 = in(8);
+    SymOf<V> q1 = at(u01, in(1), u12, u13);
+    const Vec3Of<V> u23 = in(9);
+    SymOf<V> q2 = at(u02, u12, in(2), u23);
+    SymOf<V> q3 = at(u03, u13, u23, in(3));
+    SymOf<V> sum = (q0 + q1) + (q2 + q3);
     // A constant pressure p gives 2 Q_a = V p/2, and p is `mean` times a quarter of the sum of the dilatations, of
     // which half is here.
     if constexpr (MEAN) addPressure(sum, all<V>(0.25) * mean * dilatation);
-    for (int c = 0; c < 4; ++c) q[c] = q[c] + sum;
-    for (int a = 0; a < 4; ++a)
-    {
-      f[a] = q[a] * g.r[a];
-      for (int b = a + 1; b < 4; ++b) f[POINT[a][b]] = q[a] * g.r[b] + q[b] * g.r[a];
-    }
+    q0 = q0 + sum;
+    q1 = q1 + sum;
+    q2 = q2 + sum;
+    q3 = q3 + sum;
+    give(0, q0 * g.r[0]);
+    give(4, plusTimes(q0 * g.r[1], q1, g.r[0]));
+    give(5, plusTimes(q0 * g.r[2], q2, g.r[0]));
+    give(6, plusTimes(q0 * g.r[3], q3, g.r[0]));
+    give(1, q1 * g.r[1]);
+    give(7, plusTimes(q1 * g.r[2], q2, g.r[1]));
+    give(8, plusTimes(q1 * g.r[3], q3, g.r[1]));
+    give(2, q2 * g.r[2]);
+    give(9, plusTimes(q2 * g.r[3], q3, g.r[2]));
+    give(3, q3 * g.r[3]);
   }
   else
   {
     // At point q, F = 2 sum_d z_d g_d^T with z_d = sum_c lambda_c x_cd, and with t_d = s R g_d a quarter of V times
     // 2 (lambda_a t_b + lambda_b t_a) goes to f_ab. Again half the strain; 2 * 2 / 4 = 1.
     const V far = all<V>(FAR), above = all<V>(NEAR - FAR);
-    Vec3Of<V> sum[4], t[4][4], total[4] = {};
+    Vec3Of<V> u[NODES], sum[4], t[4][4], total[4] = {};
     SymOf<V> s[4];
+    for (int k = 0; k < NODES; ++k) u[k] = in(k);
     for (int d = 0; d < 4; ++d) sum[d] = far * columnSum(u, d);
     for (int q = 0; q < 4; ++q)
     {
@@ -436,9 +477,36 @@ ALWAYS_INLINE void elasticForce(const Scalar* rotated, const Vec3Of<V>* u, doubl
     for (int d = 0; d < 4; ++d) total[d] = far * total[d];
     for (int a = 0; a < 4; ++a)
     {
-      f[a] = t[a][a] + total[a];
-      for (int b = a + 1; b < 4; ++b) f[POINT[a][b]] = t[a][b] + t[b][a] + total[a] + total[b];
+      give(a, t[a][a] + total[a]);
+      for (int b = a + 1; b < 4; ++b) give(POINT[a][b], t[a][b] + t[b][a] + total[a] + total[b]);
     }
+  }
+}
+
+/** The same, and m M u / (rho V) with it, with the exact integrals of products of basis functions; mass is m rho V. */
+template <int NODES, int POINTS, bool MEAN, class Scalar, class V, class In, class Give>
+ALWAYS_INLINE void systemForce(const Scalar* rotated, const In& in, V lambda, V mu, V mean, V mass, const Give& give)
+{
+  Vec3Of<V> u[NODES];
+  unrolled<NODES>([&](auto k) INLINED { u[k] = in(k); });
+  const auto known = [&](int k) INLINED { return u[k]; };
+  if constexpr (NODES == 4)
+  {
+    const V scale = mass * all<V>(1.0 / 20);
+    const Vec3Of<V> sum = u[0] + u[1] + u[2] + u[3];
+    elasticForce<NODES, POINTS, MEAN>(rotated, known, 0, lambda, mu, mean,
+                                      [&](int k, const Vec3Of<V>& f) INLINED { give(k, f + scale * (sum + u[k])); });
+  }
+  else
+  {
+    const V scale = mass * all<V>(1.0 / 210);
+    Vec3Of<V> t[4];
+    unrolled<4>([&](auto a)
+                    INLINED { t[a] = u[a] + u[POINT[a][0]] + u[POINT[a][1]] + u[POINT[a][2]] + u[POINT[a][3]]; });
+    const Vec3Of<V> sum = all<V>(0.5) * (t[0] + t[1] + t[2] + t[3]);
+    elasticForce<NODES, POINTS, MEAN>(rotated, known, 0, lambda, mu, mean, [&](int k, const Vec3Of<V>& f) INLINED {
+      give(k, f + scale * (sum + t[ENDS[k][0]] + t[ENDS[k][1]] + u[k]));
+    });
   }
 }
 

@@ -12,37 +12,31 @@ namespace
 // For the innermost functions, of which a compiler leaves some out of line once a file has enough of them: a tenth more
 // time for a product.
 #define ALWAYS_INLINE inline __attribute__((always_inline))
+// The same of a lambda.
+#define INLINED __attribute__((always_inline))
 
 #include "kernels_element_impl.h"
 
-/** Gathers the nodes of a part of a block's elements, makes `out` from `in`, and hands it to take(). */
-template <int NODES, bool MEAN, class Element, class Take>
-ALWAYS_INLINE void forElements(const Elements& elements, int block, int part, const double* rotated, const double* x,
-                               const Element& element, const Take& take)
-{
-  const int* nodes = elements.gather + static_cast<long>(block) * NODES * LANES + part;
-  const double* c = elements.coefficients + 3L * block * LANES + part;
-  Vec mean = Vec{};
-  if constexpr (MEAN) mean = load(elements.mean + static_cast<long>(block) * LANES + part);
-  Vec3 in[NODES], out[NODES];
-  for (int k = 0; k < NODES; ++k) in[k] = gather(x, nodes + static_cast<long>(k) * LANES);
-  element(rotated + static_cast<long>(block) * elements.points * 9 * LANES + part, in, load(c), load(c + LANES),
-          load(c + 2L * LANES), mean, out);
-  take(nodes, out);
-}
-
-/** The same for whole blocks; stores the shares. */
+/**
+ * Calls element(block, part, rotated, in, lambda, mu, mass, mean) for registers of elements, of which in(k) gathers the
+ * nodes k.
+ */
 template <int NODES, bool MEAN, class Element>
-inline void forEachElement(const Elements& elements, int begin, int end, const double* rotated, const double* x,
-                           double* shares, const Element& element)
+ALWAYS_INLINE void forElements(const Elements& elements, int begin, int end, const double* rotated, const double* x,
+                               const Element& element)
 {
   for (int block = begin; block < end; ++block)
   {
     for (int part = 0; part < LANES; part += WIDTH)
     {
-      forElements<NODES, MEAN>(elements, block, part, rotated, x, element, [&](const int* /*nodes*/, const Vec3* out) {
-        for (int k = 0; k < NODES; ++k) storeShares(shares + SHARES * block * NODES + SHARES * k, part, out[k]);
-      });
+      const int* nodes = elements.gather + static_cast<long>(block) * NODES * LANES + part;
+      const double* c = elements.coefficients + 3L * block * LANES + part;
+      Vec mean = Vec{};
+      if constexpr (MEAN) mean = load(elements.mean + static_cast<long>(block) * LANES + part);
+      element(
+          block, part, rotated + static_cast<long>(block) * elements.points * 9 * LANES + part,
+          [&](int k) INLINED { return gather(x, nodes + static_cast<long>(k) * LANES); }, load(c), load(c + LANES),
+          load(c + 2L * LANES), mean);
     }
   }
 }
@@ -51,46 +45,44 @@ template <int NODES, int POINTS, bool MEAN>
 void addProduct(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                 const double* u, double* shares)
 {
-  forEachElement<NODES, MEAN>(elements, begin, end, rotated, u, shares,
-                              [&](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec mass, Vec mean, Vec3* out) {
-                                elasticForce<NODES, POINTS, MEAN>(g, in, 0, beta * lambda, beta * mu, beta * mean, out);
-                                addMass<NODES>(in, alpha * mass, out);
-                              });
+  forElements<NODES, MEAN>(
+      elements, begin, end, rotated, u,
+      [&](int block, int part, const double* g, const auto& in, Vec lambda, Vec mu, Vec mass, Vec mean) INLINED {
+        double* rows = shares + SHARES * NODES * block;
+        systemForce<NODES, POINTS, MEAN>(g, in, beta * lambda, beta * mu, beta * mean, alpha * mass,
+                                         [&](int k, const Vec3& f)
+                                             INLINED { storeShares(rows + SHARES * k, part, f); });
+      });
 }
 
 template <int NODES, int POINTS, bool MEAN>
 void addForce(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* shares)
 {
-  forEachElement<NODES, MEAN>(elements, begin, end, rotated, x, shares,
-                              [](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean,
-                                 Vec3* out) { elasticForce<NODES, POINTS, MEAN>(g, in, 1, lambda, mu, mean, out); });
+  forElements<NODES, MEAN>(
+      elements, begin, end, rotated, x,
+      [&](int block, int part, const double* g, const auto& in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean) INLINED {
+        double* rows = shares + SHARES * NODES * block;
+        elasticForce<NODES, POINTS, MEAN>(
+            g, in, 1, lambda, mu, mean, [&](int k, const Vec3& f) INLINED { storeShares(rows + SHARES * k, part, f); });
+      });
 }
 
 template <int NODES, int POINTS, bool MEAN>
 void forceWork(const Elements& elements, int begin, int end, const double* rotated, const double* x, const double* d,
                double* sums)
 {
-  for (int block = begin; block < end; ++block)
-  {
-    Vec work = {};
-    for (int part = 0; part < LANES; part += WIDTH)
-    {
-      forElements<NODES, MEAN>(
-          elements, block, part, rotated, x,
-          [](const double* g, const Vec3* in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean, Vec3* out) {
-            elasticForce<NODES, POINTS, MEAN>(g, in, 1, lambda, mu, mean, out);
-          },
-          [&](const int* nodes, const Vec3* force) {
-            for (int k = 0; k < NODES; ++k)
-            {
-              const Vec3 way = gather(d, nodes + static_cast<long>(k) * LANES);
-              work += force[k].x * way.x + force[k].y * way.y + force[k].z * way.z;
-            }
-          });
-    }
-    sums[block] = 0;
-    for (int lane = 0; lane < WIDTH; ++lane) sums[block] += work[lane];
-  }
+  for (int block = begin; block < end; ++block) sums[block] = 0;
+  forElements<NODES, MEAN>(
+      elements, begin, end, rotated, x,
+      [&](int block, int part, const double* g, const auto& in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean) INLINED {
+        const int* nodes = elements.gather + static_cast<long>(block) * NODES * LANES + part;
+        Vec work = {};
+        elasticForce<NODES, POINTS, MEAN>(g, in, 1, lambda, mu, mean, [&](int k, const Vec3& force) INLINED {
+          const Vec3 way = gather(d, nodes + static_cast<long>(k) * LANES);
+          work += force.x * way.x + force.y * way.y + force.z * way.z;
+        });
+        for (int lane = 0; lane < WIDTH; ++lane) sums[block] += work[lane];
+      });
 }
 
 /** H_cd + H_dc over V, with H_cd = lambda c d^T + mu d c^T + mu (c.d) 1; H_cc + H_cc = 2 H_cc for c = d. */
@@ -726,5 +718,6 @@ const Table TABLE = {
 }  // namespace bezier_fem::kernels
 
 #undef ALWAYS_INLINE
+#undef INLINED
 #undef BY_FOURS
 #undef UP

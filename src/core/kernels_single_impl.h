@@ -1,6 +1,9 @@
 // What preconditions, in single precision, for kernels_impl.h, inside its unnamed namespace.
 
-/** Gathers the nodes of each element, or its corners, IN in number, and stores the shares that are made of them. */
+/**
+ * Calls element(rotated, in, lambda, mu, mass, mean, give) for registers of elements, of which in(k) gathers the nodes
+ * k, or the corners where IN is 4, and give(k, f) stores the shares of nodes k.
+ */
 template <int IN, bool MEAN, class Element>
 ALWAYS_INLINE void forEachSingle(const SingleElements& e, int begin, int end, const float* x, float* shares,
                                  const Element& element)
@@ -14,10 +17,11 @@ ALWAYS_INLINE void forEachSingle(const SingleElements& e, int begin, int end, co
       const float* c = e.coefficients + 3L * block * LANES + part;
       V mean = {};
       if constexpr (MEAN) mean = load(e.mean + static_cast<long>(block) * LANES + part);
-      Vec3Of<V> in[IN], out[10];
-      for (int k = 0; k < IN; ++k) in[k] = gather(x, from + static_cast<long>(k) * LANES);
-      element(e.rotated + 9L * block * LANES + part, in, load(c), load(c + LANES), load(c + 2L * LANES), mean, out);
-      for (int k = 0; k < 10; ++k) storeShares(shares + SHARES * (10L * block + k), part, out[k]);
+      element(
+          e.rotated + 9L * block * LANES + part,
+          [&](int k) INLINED { return gather(x, from + static_cast<long>(k) * LANES); }, load(c), load(c + LANES),
+          load(c + 2L * LANES), mean,
+          [&](int k, const Vec3Of<V>& f) INLINED { storeShares(shares + SHARES * (10L * block + k), part, f); });
     }
   }
 }
@@ -25,12 +29,19 @@ ALWAYS_INLINE void forEachSingle(const SingleElements& e, int begin, int end, co
 template <bool MEAN, bool MASS>
 void singleProduct(const SingleElements& elements, int begin, int end, const float* u, float* shares)
 {
-  forEachSingle<10, MEAN>(elements, begin, end, u, shares,
-                          [](const float* g, const Vec3Of<SingleVec>* in, SingleVec lambda, SingleVec mu,
-                             [[maybe_unused]] SingleVec mass, SingleVec mean, Vec3Of<SingleVec>* out) {
-                            elasticForce<10, 1, MEAN>(g, in, 0, lambda, mu, mean, out);
-                            if constexpr (MASS) addMass<10>(in, mass, out);
-                          });
+  using V = SingleVec;
+  forEachSingle<10, MEAN>(
+      elements, begin, end, u, shares,
+      [](const float* g, const auto& in, V lambda, V mu, [[maybe_unused]] V mass, V mean, const auto& give) INLINED {
+        if constexpr (MASS)
+        {
+          systemForce<10, 1, MEAN>(g, in, lambda, mu, mean, mass, give);
+        }
+        else
+        {
+          elasticForce<10, 1, MEAN>(g, in, 0, lambda, mu, mean, give);
+        }
+      });
 }
 
 void singleProductAny(const SingleElements& elements, int begin, int end, const float* u, float* shares)
@@ -51,32 +62,32 @@ template <bool MASS>
 void prolongedProduct(const SingleElements& elements, int begin, int end, const float* corners, float* shares)
 {
   using V = SingleVec;
-  forEachSingle<4, false>(elements, begin, end, corners, shares,
-                          [](const float* rotated, const Vec3Of<V>* c, V lambda, V mu, [[maybe_unused]] V mass,
-                             V /*mean*/, Vec3Of<V>* out) {
-                            const V half = all<V>(0.5);
-                            const auto g = loadGradients(rotated);
-                            V dilatation = {};
-                            const SymOf<V> s = stress(g, c[1] - c[0], c[2] - c[0], c[3] - c[0], 0, half * lambda,
-                                                      half * mu, dilatation);
-                            Vec3Of<V> sum[4];
-                            for (int a = 0; a < 4; ++a) out[a] = sum[a] = s * g.r[a];
-                            if constexpr (MASS)
-                            {
-                              const Vec3Of<V> half_total = half * (c[0] + c[1] + c[2] + c[3]);
-                              const V scale = mass * all<V>(1.0 / 60);
-                              for (int a = 0; a < 4; ++a)
-                              {
-                                const Vec3Of<V> share = scale * (c[a] + half_total);
-                                sum[a] = sum[a] + share;
-                                out[a] = sum[a] + share;
-                              }
-                            }
-                            for (int a = 0; a < 4; ++a)
-                            {
-                              for (int b = a + 1; b < 4; ++b) out[POINT[a][b]] = sum[a] + sum[b];
-                            }
-                          });
+  forEachSingle<4, false>(
+      elements, begin, end, corners, shares,
+      [](const float* rotated, const auto& in, V lambda, V mu, [[maybe_unused]] V mass, V /*mean*/,
+         const auto& give) INLINED {
+        const V half = all<V>(0.5);
+        const auto g = loadGradients(rotated);
+        V dilatation = {};
+        const Vec3Of<V> c[4] = {in(0), in(1), in(2), in(3)};
+        const SymOf<V> s = stress(g, c[1] - c[0], c[2] - c[0], c[3] - c[0], 0, half * lambda, half * mu, dilatation);
+        Vec3Of<V> sum[4] = {s * g.r[0], s * g.r[1], s * g.r[2], s * g.r[3]};
+        if constexpr (MASS)
+        {
+          const Vec3Of<V> half_total = half * (c[0] + c[1] + c[2] + c[3]);
+          const V scale = mass * all<V>(1.0 / 60);
+          unrolled<4>([&](auto a) INLINED {
+            const Vec3Of<V> share = scale * (c[a] + half_total);
+            sum[a] = sum[a] + share;
+            give(a, sum[a] + share);
+          });
+        }
+        else
+        {
+          unrolled<4>([&](auto a) INLINED { give(a, sum[a]); });
+        }
+        unrolled<6>([&](auto k) INLINED { give(4 + k, sum[ENDS[4 + k][0]] + sum[ENDS[4 + k][1]]); });
+      });
 }
 
 void prolongedProductAny(const SingleElements& elements, int begin, int end, const float* corners, float* shares)
