@@ -252,6 +252,12 @@ struct SingleData
     {
       if (model.ends[i][0] == model.ends[i][1]) vertex[i] = vertices++;
     }
+    for (const auto& [a, b] : model.ends)
+    {
+      ends.push_back(vertex[model.node_of_corner[a]]);
+      ends.push_back(vertex[model.node_of_corner[b]]);
+    }
+    ends.resize(2 * nodes);
     for (int block = 0; block < model.num_blocks; ++block)
     {
       const int* of = model.block_nodes.data() + static_cast<std::ptrdiff_t>(block) * QUADRATIC_NODES * LANES;
@@ -266,7 +272,7 @@ struct SingleData
 
   int vertices = 0;
   AlignedVector<float> rotated, coefficients, shares, inverse, mass, x, r, s, p, q, d, z;
-  AlignedVector<int> corner_gather;
+  AlignedVector<int> corner_gather, ends;
   kernels::SingleElements elements, smoothed;  // with the mass, and with the mass left to the nodes
 };
 
@@ -374,6 +380,14 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
        [&]() {
          table.single_chebyshev(lists, 0, count, 0.5f, 0.5f, single.shares.data(), single.inverse.data(),
                                 single.mass.data(), single.r.data(), single.d.data(), single.z.data());
+       }},
+      // With v, half the sum of two vertices: r -= the sums + mass v, d = gain B^-1 r, z += v + d, r -= mass d
+      {"sums, prolongation and first term", true, tets * SCATTER + nodes * (6 + 9 + INVERSE_PRODUCT + 3 + 6 + 6),
+       slots + single_shares + 3 * values + inverses + nodes * (2 * INDEX + HALF * NUMBER) + HALF * vertices * NODE, 0,
+       [&]() {
+         table.prolonged_chebyshev(lists, 0, count, 0.5f, single.shares.data(), single.inverse.data(),
+                                   single.mass.data(), single.ends.data(), single.x.data(), single.r.data(),
+                                   single.d.data(), single.z.data());
        }},
       // x += a p, r -= a q, d = z = gain B^-1 r, s = r - mass d, r.B^-1 r
       {"multigrid's gradients: advance", true, nodes * (6 + 6 + INVERSE_PRODUCT + 3 + 6 + 6),

@@ -43,7 +43,7 @@ private:
   const Partition& partition_;
   double cost_;                                  // of a factor, in iterations
   std::vector<int> node_of_vertex_;              // of the linear elements, to the model's nodes
-  std::vector<std::array<int, 2>> vertices_of_;  // the two vertices of each node
+  std::vector<std::array<int, 2>> vertices_of_;  // the two vertices of each node; up to a whole group of nodes
   std::vector<int> edges_begin_, edges_;         // of each vertex: the nodes of its edges
   std::unique_ptr<Model> linear_;
   Rotations linear_rotations_;  // only their gradients are looked at

@@ -297,6 +297,14 @@ struct Table
   /** That, then d = keep d + gain B^-1 r, z += d, r -= mass d. */
   void (*single_chebyshev)(const NodeShares& lists, int begin, int end, float keep, float gain, const float* shares,
                            const float* inverse, const float* mass, float* r, float* d, float* z);
+  /**
+   * The first term for shares of P c, with P c itself: r -= the sum of the shares + mass P c, d = gain B^-1 r,
+   * z += P c + d, r -= mass d.
+   * @param ends  two vertices a node, whose mean P c is there; up to a whole group of nodes
+   */
+  void (*prolonged_chebyshev)(const NodeShares& lists, int begin, int end, float gain, const float* shares,
+                              const float* inverse, const float* mass, const int* ends, const float* c, float* r,
+                              float* d, float* z);
   /** y = L x and y = L^T x of a panel L by columns, its rows a multiple of LANES, with zeros above its diagonal. */
   void (*panel_product)(int rows, int columns, const float* panel, const float* x, float* y);
   void (*panel_transpose_product)(int rows, int columns, const float* panel, const float* x, float* y);

@@ -710,6 +710,7 @@ const Table TABLE = {
     singleRedirect,
     subtractShares,
     singleChebyshev,
+    prolongedChebyshev,
     panelProduct,
     panelTransposeProduct,
     {greenEnergy<4>, addGreenForce<4>, lineariseGreen<4>, addGreenProduct<4>, addGreenDiagonal<4>},

@@ -103,21 +103,26 @@ ALWAYS_INLINE SingleVec timesInverse(const float* inverse, SingleVec r)
          BY_FOURS(r, r, 2, 2, 2, 2) * load(inverse + 2L * COLUMN);
 }
 
-/** Calls f(offset of values, offset of inverses, sum of shares) for every SINGLE_WIDTH / 4 nodes. */
+/** SINGLE_WIDTH / 4 nodes in a register. */
+ALWAYS_INLINE SingleVec together(const SingleNode* nodes)
+{
+#if WIDTH == 8
+  const auto low = __builtin_shufflevector(nodes[0], nodes[1], 0, 1, 2, 3, 4, 5, 6, 7);
+  const auto high = __builtin_shufflevector(nodes[2], nodes[3], 0, 1, 2, 3, 4, 5, 6, 7);
+  return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+#elif WIDTH == 4
+  return __builtin_shufflevector(nodes[0], nodes[1], 0, 1, 2, 3, 4, 5, 6, 7);
+#else
+  return nodes[0];
+#endif
+}
+
+/** Calls f(first node, offset of inverses, sum of shares) for every SINGLE_WIDTH / 4 nodes. */
 template <class F>
 ALWAYS_INLINE void forEachSingleSum(const NodeShares& lists, int begin, int end, const float* shares, const F& f)
 {
-  forEachSum<SingleNode>(lists, begin, end, shares, [&](int i, const SingleNode* sum) {
-#if WIDTH == 8
-    const auto low = __builtin_shufflevector(sum[0], sum[1], 0, 1, 2, 3, 4, 5, 6, 7);
-    const auto high = __builtin_shufflevector(sum[2], sum[3], 0, 1, 2, 3, 4, 5, 6, 7);
-    f(4L * i, 12L * i, __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
-#elif WIDTH == 4
-    f(4L * i, 12L * i, __builtin_shufflevector(sum[0], sum[1], 0, 1, 2, 3, 4, 5, 6, 7));
-    f(4L * i + 8, 12L * i + 8, __builtin_shufflevector(sum[2], sum[3], 0, 1, 2, 3, 4, 5, 6, 7));
-#else
-    for (int k = 0; k < NODE_GROUP; ++k) f(4L * (i + k), 12L * i + 4L * k, sum[k]);
-#endif
+  forEachSum<SingleNode>(lists, begin, end, shares, [&](int i, const SingleNode* sum) INLINED {
+    for (int k = 0; k < NODE_GROUP; k += SINGLE_WIDTH / 4) f(i + k, 12L * i + 4L * k, together(sum + k));
   });
 }
 
@@ -141,15 +146,17 @@ ALWAYS_INLINE SingleVec byNodes(const float* numbers, long at)
 
 void subtractShares(const NodeShares& lists, int begin, int end, const float* shares, float* r)
 {
-  forEachSingleSum(lists, begin, end, shares,
-                   [&](long at, long /*inverse*/, SingleVec sum) { store(r + at, load(r + at) - sum); });
+  forEachSingleSum(lists, begin, end, shares, [&](long node, long /*block*/, SingleVec sum) INLINED {
+    store(r + 4 * node, load(r + 4 * node) - sum);
+  });
 }
 
 void singleChebyshev(const NodeShares& lists, int begin, int end, float keep, float gain, const float* shares,
                      const float* inverse, const float* mass, float* r, float* d, float* z)
 {
   const SingleVec k = SingleVec{} + keep, g = SingleVec{} + gain;
-  forEachSingleSum(lists, begin, end, shares, [&](long at, long block, SingleVec sum) {
+  forEachSingleSum(lists, begin, end, shares, [&](long node, long block, SingleVec sum) INLINED {
+    const long at = 4 * node;
     const SingleVec res = load(r + at) - sum;
     // What a first term has nothing to keep of may be anything.
     SingleVec direction = g * timesInverse(inverse + block, res);
@@ -157,6 +164,26 @@ void singleChebyshev(const NodeShares& lists, int begin, int end, float keep, fl
     store(r + at, res - byNodes(mass, at) * direction);
     store(d + at, direction);
     store(z + at, load(z + at) + direction);
+  });
+}
+
+void prolongedChebyshev(const NodeShares& lists, int begin, int end, float gain, const float* shares,
+                        const float* inverse, const float* mass, const int* ends, const float* corners, float* r,
+                        float* d, float* z)
+{
+  const SingleVec g = SingleVec{} + gain, half = all<SingleVec>(0.5);
+  forEachSingleSum(lists, begin, end, shares, [&](long node, long block, SingleVec sum) INLINED {
+    SingleNode twice[SINGLE_WIDTH / 4];
+    unrolled<SINGLE_WIDTH / 4>([&](auto k) INLINED {
+      twice[k] = loadNode(corners, ends[2 * (node + k)]) + loadNode(corners, ends[2 * (node + k) + 1]);
+    });
+    const long at = 4 * node;
+    const SingleVec prolonged = half * together(twice), lumped = byNodes(mass, at);
+    const SingleVec res = load(r + at) - sum - lumped * prolonged;
+    const SingleVec direction = g * timesInverse(inverse + block, res);
+    store(r + at, res - lumped * direction);
+    store(d + at, direction);
+    store(z + at, load(z + at) + prolonged + direction);
   });
 }
 
@@ -174,9 +201,9 @@ inline float total(SingleVec v)
 double singleSum(const NodeShares& lists, int begin, int end, const float* shares, const float* p, float* q)
 {
   SingleVec work = {};
-  forEachSingleSum(lists, begin, end, shares, [&](long at, long /*inverse*/, SingleVec sum) {
-    store(q + at, sum);
-    work += sum * load(p + at);
+  forEachSingleSum(lists, begin, end, shares, [&](long node, long /*block*/, SingleVec sum) INLINED {
+    store(q + 4 * node, sum);
+    work += sum * load(p + 4 * node);
   });
   return total(work);
 }

@@ -164,17 +164,6 @@ public:
   void multiply(const AlignedVector<float>& u) { multiply(u, true); }
   /** The same of the smoother's operator, without what of the mass is lumped. */
   void multiplySmoothed(const AlignedVector<float>& u) { multiply(u, !lumped_); }
-  /** The same of P c, c of the corners, and `also` of each piece at the same time. */
-  template <class F>
-  void multiplyProlonged(const float* corners, const F& also)
-  {
-    forEachPiece(partition_, [&](int t) {
-      also(t);
-      kernels::table().prolonged_product(elements(!lumped_), partition_.blockBegin(t), partition_.blockEnd(t), corners,
-                                         shares_.data() + FIRST_SHARE);
-    });
-  }
-
   /** residual -= what the shares sum up to */
   void subtract()
   {
@@ -183,8 +172,6 @@ public:
                                        residual.data());
     });
   }
-  /** Mass that the smoother's operator has at a node. */
-  float lumpedMass(int node) const { return mass_[node]; }
 
   /** solution += a search, remaining -= a product; then the first term for it, and remaining . B^-1 remaining. */
   double advance(double a)
@@ -223,14 +210,31 @@ public:
   }
 
   /**
-   * Chebyshev's iteration for the residual, DEGREE terms of which the first is there already, or after a step of which
-   * the shares have A times. Of the last one only the lumped mass is taken off the residual.
+   * Corrects by P c, c of the vertices, and by the first term of a smoothing after it.
+   * @param ends  the two vertices of each node, up to a whole group of nodes
    */
-  void smooth(bool has_first)
+  void correct(const float* c, const std::vector<std::array<int, 2>>& ends)
+  {
+    forEachPiece(partition_, [&](int t) {
+      kernels::table().prolonged_product(elements(!lumped_), partition_.blockBegin(t), partition_.blockEnd(t), c,
+                                         shares_.data() + FIRST_SHARE);
+    });
+    forEachPiece(partition_, [&](int t) {
+      kernels::table().prolonged_chebyshev(sharesOf(model_), partition_.nodeBegin(t), partition_.nodeEnd(t),
+                                           static_cast<float>(1 / centre()), shares_.data(), inverse_.data(),
+                                           mass_.data(), ends.data()->data(), c, residual.data(), direction.data(),
+                                           correction.data());
+    });
+  }
+
+  /**
+   * The terms of Chebyshev's iteration for the residual after the first one, DEGREE with it. Of the last one only the
+   * lumped mass is taken off the residual.
+   */
+  void smooth()
   {
     const double radius = MARGIN * largest_ - centre(), sigma = centre() / radius;
     double rho = 1 / sigma;
-    if (!has_first) chebyshev(0, 1 / centre());
     for (int k = 1; k < DEGREE; ++k)
     {
       multiplySmoothed(direction);
@@ -369,6 +373,7 @@ PMultigrid::PMultigrid(const Model& model, const Partition& partition)
     if (vertices_of_[i][0] == vertices_of_[i][1]) continue;
     for (const int vertex : vertices_of_[i]) edges_[next[vertex]++] = i;
   }
+  while (vertices_of_.size() % kernels::NODE_GROUP != 0) vertices_of_.push_back({0, 0});
 }
 
 PMultigrid::~PMultigrid() = default;
@@ -415,7 +420,7 @@ bool PMultigrid::prepare(const Model& model, const Rotations& rotations, const H
 void PMultigrid::cycle()
 {
   QuadraticLevel& level = *quadratic_;
-  level.smooth(true);
+  level.smooth();
   level.multiplySmoothed(level.direction);
   level.subtract();
   using Node = Eigen::Map<Eigen::Vector4f, Eigen::Aligned16>;
@@ -435,16 +440,8 @@ void PMultigrid::cycle()
     }
   };
   const float* corners = factor_->solve(std::ref(restrict));
-  level.multiplyProlonged(corners, [&](int piece) {
-    for (int i = partition_.nodeBegin(piece); i < partition_.nodeEnd(piece); ++i)
-    {
-      const auto [a, b] = vertices_of_[i];
-      const Eigen::Vector4f mean = 0.5f * (ConstNode(corners + 4L * a) + ConstNode(corners + 4L * b));
-      Node(level.correction.data() + 4L * i) += mean;
-      Node(level.residual.data() + 4L * i) -= level.lumpedMass(i) * mean;
-    }
-  });
-  level.smooth(false);
+  level.correct(corners, vertices_of_);
+  level.smooth();
 }
 
 void PMultigrid::apply(const NodalField& r, NodalField& z)

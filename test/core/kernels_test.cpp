@@ -589,6 +589,44 @@ TEST_P(SingleKernels, SubtractSharesAndChebyshevAreTheirFormulas)
   }
 }
 
+TEST_P(SingleKernels, ProlongedChebyshevAddsTheProlongedAndItsFirstTerm)
+{
+  // Two corners of each node, as an edge has them, out of a field of corners.
+  const NodalField u = random(1), r = random(4), c = random(5), z = random(6);
+  std::vector<int> ends;
+  NodalField prolonged(model.num_nodes), residual(model.num_nodes), direction(model.num_nodes);
+  for (int i = 0; i < model.num_nodes; ++i)
+  {
+    const auto [a, b] = model.ends[i];
+    ends.push_back(model.node_of_corner[a]);
+    ends.push_back(model.node_of_corner[b]);
+    prolonged[i] = (c[ends[2 * i]] + c[ends[2 * i + 1]]) / 2;
+  }
+  ends.resize(2 * (ends.size() / 2 + kernels::NODE_GROUP));
+  const Floats mass = masses(), corners = floats(c);
+  const Blocks inverse = blocks();
+  constexpr float GAIN = 1.25f;
+  residual.matrix() = r.matrix() - product(u).matrix();
+  residual = without(residual, mass, prolonged);
+  direction.matrix() = GAIN * (inverse * residual).matrix();
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    const Floats all_shares = productShares(*table, floats(u));
+    Floats own_r = floats(r), own_d = unknown(), own_z = floats(z);
+    overNodes([&](int begin, int end) {
+      table->prolonged_chebyshev(lists, begin, end, GAIN, all_shares.data(), inverse.floats.data(), mass.data(),
+                                 ends.data(), corners.data(), own_r.data(), own_d.data(), own_z.data());
+      return 0;
+    });
+    expectNear(own_r, without(residual, mass, direction));
+    expectNear(own_d, direction);
+    NodalField solution(model.num_nodes);
+    solution.matrix() = z.matrix() + prolonged.matrix() + direction.matrix();
+    expectNear(own_z, solution);
+  }
+}
+
 TEST_P(SingleKernels, VectorOperationsAreTheirFormulas)
 {
   const NodalField x0 = random(7), p = random(8), q = random(9), r = random(10);
