@@ -70,9 +70,10 @@ private:
   double floor_ = 0;
   AlignedVector<double> inverse_;
   NodalField r_, z_, p_, q_;
-  std::array<NodalField, 2> basis_, images_;  // of start()
-  bool product_known_ = false;                // q_ is A u of what start() has left
-  std::vector<double> partial_;               // a number a chunk of nodes
+  NodalField extrapolated_;  // of start()
+  std::array<NodalField, 2> images_;
+  bool product_known_ = false;   // q_ is A u of what start() has left
+  std::vector<double> partial_;  // a number a chunk of nodes
 
   template <class F>
   double sum(const Partition& partition, const F& f);

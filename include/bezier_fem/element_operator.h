@@ -21,9 +21,12 @@ namespace bezier_fem
 void elasticForce(const Model& model, const Partition& partition, const Rotations& rotations, const NodalField& x,
                   NodalField& out);
 
-/** f_el(x) . d, J if d is in m: the same for any number of threads. */
-double elasticWork(const Model& model, const Partition& partition, const Rotations& rotations, const NodalField& x,
-                   const NodalField& d);
+/**
+ * What the elastic force of the positions x grows by as the rotations change, times d; J if d is in m. The same for any
+ * number of threads.
+ */
+double turnWork(const Model& model, const Partition& partition, const Rotations& before, const Rotations& after,
+                const NodalField& x, const NodalField& d);
 
 /** out = (alpha M + beta K') u. */
 void systemProduct(const Model& model, const Partition& partition, const Rotations& rotations, double alpha,

@@ -17,9 +17,9 @@ ConjugateGradient::ConjugateGradient(const Model& model, const Partition& partit
       z_(model.num_nodes),
       p_(model.num_nodes),
       q_(model.num_nodes),
+      extrapolated_(model.num_nodes),
       partial_(partition.numChunks())
 {
-  basis_.fill(NodalField(model.num_nodes));
   images_.fill(NodalField(model.num_nodes));
 }
 
@@ -64,12 +64,14 @@ void ConjugateGradient::start(const SystemOperator& system, const Partition& par
   u.setZero();
   product_known_ = false;
   if (count == 0) return;
-  // The extrapolation from all of them and the last one: a third direction saves less than its product costs.
+  // The last one, and the extrapolation from all: a third direction saves less than its product costs.
   const int directions = std::min(count, 2);
-  basis_[1].matrix() = past[0].matrix();
-  if (count == 1) basis_[0].matrix() = past[0].matrix();
-  if (count == 2) basis_[0].matrix() = 2 * past[0].matrix() - past[1].matrix();
-  if (count == 3) basis_[0].matrix() = 3 * (past[0].matrix() - past[1].matrix()) + past[2].matrix();
+  const std::array<const NodalField*, 2> basis{&past[0], &extrapolated_};
+  forEachChunk(partition, [&](int first, int nodes) {
+    const auto of = [&](int k) { return past[k].columns(first, nodes); };
+    if (count == 2) extrapolated_.columns(first, nodes) = 2 * of(0) - of(1);
+    if (count == 3) extrapolated_.columns(first, nodes) = 3 * (of(0) - of(1)) + of(2);
+  });
   Eigen::Matrix2d gram = Eigen::Matrix2d::Identity();
   Eigen::Vector2d work = Eigen::Vector2d::Zero();
   const auto dot = [&](const NodalField& a, const NodalField& c) {
@@ -77,21 +79,22 @@ void ConjugateGradient::start(const SystemOperator& system, const Partition& par
   };
   for (int k = 0; k < directions; ++k)
   {
-    system.product(basis_[k], images_[k]);
-    work[k] = dot(basis_[k], b);
-    for (int j = 0; j <= k; ++j) gram(j, k) = gram(k, j) = dot(basis_[j], images_[k]);
+    system.product(*basis[k], images_[k]);
+    work[k] = dot(*basis[k], b);
+    for (int j = 0; j <= k; ++j) gram(j, k) = gram(k, j) = dot(*basis[j], images_[k]);
   }
   const Eigen::Vector2d scale = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
   const Eigen::LLT<Eigen::Matrix2d> llt(scale.asDiagonal() * gram * scale.asDiagonal());
   if (llt.info() != Eigen::Success) return;  // no motion, or none that differs
   const Eigen::Vector2d weights = scale.cwiseProduct(llt.solve(scale.cwiseProduct(work)));
   if (!weights.allFinite()) return;
-  q_.setZero();
-  for (int k = 0; k < directions; ++k)
-  {
-    u.matrix() += weights[k] * basis_[k].matrix();
-    q_.matrix() += weights[k] * images_[k].matrix();
-  }
+  forEachChunk(partition, [&](int first, int nodes) {
+    q_.columns(first, nodes) = weights[0] * images_[0].columns(first, nodes);
+    u.columns(first, nodes) = weights[0] * basis[0]->columns(first, nodes);
+    if (directions == 1) return;
+    q_.columns(first, nodes) += weights[1] * images_[1].columns(first, nodes);
+    u.columns(first, nodes) += weights[1] * basis[1]->columns(first, nodes);
+  });
   product_known_ = true;
 }
 

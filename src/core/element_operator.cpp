@@ -27,13 +27,13 @@ void elasticForce(const Model& model, const Partition& partition, const Rotation
              });
 }
 
-double elasticWork(const Model& model, const Partition& partition, const Rotations& rotations, const NodalField& x,
-                   const NodalField& d)
+double turnWork(const Model& model, const Partition& partition, const Rotations& before, const Rotations& after,
+                const NodalField& x, const NodalField& d)
 {
   double* sums = partition.shares() + kernels::ZERO_ROWS * kernels::SHARES;  // of shares there are more
   forEachPiece(partition, [&](int t) {
-    kernels::table().force_work(elementsOf(model, rotations.points), partition.blockBegin(t), partition.blockEnd(t),
-                                rotations.gradients.data(), x.data(), d.data(), sums);
+    kernels::table().turn_work(elementsOf(model, before.points), partition.blockBegin(t), partition.blockEnd(t),
+                               before.gradients.data(), after.gradients.data(), x.data(), d.data(), sums);
   });
   return std::accumulate(sums, sums + model.num_blocks, 0.0);
 }

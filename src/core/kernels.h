@@ -203,9 +203,9 @@ struct Table
   void (*add_force)(const Elements& elements, int begin, int end, const double* rotated, const double* x,
                     double* shares);
 
-  /** sums[block] = that force times d, for each of the blocks. */
-  void (*force_work)(const Elements& elements, int begin, int end, const double* rotated, const double* x,
-                     const double* d, double* sums);
+  /** sums[block] = what that force grows by, times d, as the rotated gradients change, for each of the blocks. */
+  void (*turn_work)(const Elements& elements, int begin, int end, const double* before, const double* after,
+                    const double* x, const double* d, double* sums);
 
   /** Shares of the 3x3 diagonal blocks of alpha M + beta K'. */
   void (*add_diagonal)(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,

@@ -68,19 +68,26 @@ void addForce(const Elements& elements, int begin, int end, const double* rotate
 }
 
 template <int NODES, int POINTS, bool MEAN>
-void forceWork(const Elements& elements, int begin, int end, const double* rotated, const double* x, const double* d,
-               double* sums)
+void turnWork(const Elements& elements, int begin, int end, const double* before, const double* after, const double* x,
+              const double* d, double* sums)
 {
   for (int block = begin; block < end; ++block) sums[block] = 0;
   forElements<NODES, MEAN>(
-      elements, begin, end, rotated, x,
+      elements, begin, end, before, x,
       [&](int block, int part, const double* g, const auto& in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean) INLINED {
         const int* nodes = elements.gather + static_cast<long>(block) * NODES * LANES + part;
+        Vec3 u[NODES], force[NODES];
+        unrolled<NODES>([&](auto k) INLINED { u[k] = in(k); });
+        const auto known = [&](int k) INLINED { return u[k]; };
+        elasticForce<NODES, POINTS, MEAN>(g, known, 1, lambda, mu, mean,
+                                          [&](int k, const Vec3& f) INLINED { force[k] = f; });
         Vec work = {};
-        elasticForce<NODES, POINTS, MEAN>(g, in, 1, lambda, mu, mean, [&](int k, const Vec3& force) INLINED {
-          const Vec3 way = gather(d, nodes + static_cast<long>(k) * LANES);
-          work += force.x * way.x + force.y * way.y + force.z * way.z;
-        });
+        elasticForce<NODES, POINTS, MEAN>(after + (g - before), known, 1, lambda, mu, mean,
+                                          [&](int k, const Vec3& f) INLINED {
+                                            const Vec3 more = f - force[k];
+                                            const Vec3 way = gather(d, nodes + static_cast<long>(k) * LANES);
+                                            work += more.x * way.x + more.y * way.y + more.z * way.z;
+                                          });
         for (int lane = 0; lane < WIDTH; ++lane) sums[block] += work[lane];
       });
 }
@@ -649,13 +656,13 @@ void addForceAny(const Elements& elements, int begin, int end, const double* rot
   add(elements, begin, end, rotated, x, shares);
 }
 
-void forceWorkAny(const Elements& elements, int begin, int end, const double* rotated, const double* x, const double* d,
-                  double* sums)
+void turnWorkAny(const Elements& elements, int begin, int end, const double* before, const double* after,
+                 const double* x, const double* d, double* sums)
 {
-  const auto one = elements.mean ? forceWork<10, 1, true> : forceWork<10, 1, false>;
-  const auto four = elements.mean ? forceWork<10, 4, true> : forceWork<10, 4, false>;
-  const auto work = elements.nodes_per_tet == 4 ? forceWork<4, 1, false> : elements.points == 1 ? one : four;
-  work(elements, begin, end, rotated, x, d, sums);
+  const auto one = elements.mean ? turnWork<10, 1, true> : turnWork<10, 1, false>;
+  const auto four = elements.mean ? turnWork<10, 4, true> : turnWork<10, 4, false>;
+  const auto work = elements.nodes_per_tet == 4 ? turnWork<4, 1, false> : elements.points == 1 ? one : four;
+  work(elements, begin, end, before, after, x, d, sums);
 }
 
 template <class V, class Scalar>
@@ -681,7 +688,7 @@ const Table TABLE = {
     updateRotationsAny,
     addProductAny,
     addForceAny,
-    forceWorkAny,
+    turnWorkAny,
     addDiagonalAny<Vec, double>,
     addDiagonalAny<SingleVec, float>,
     elementMatricesAny,

@@ -138,15 +138,13 @@ private:
     constexpr double ENOUGH = 0.5;
     Stopwatch watch;
     keepMomentum();
-    const auto along = [&](const Rotations& rotations) {
-      return h * elasticWork(model_, w_.partition, rotations, state_.x, w_.change);
-    };
     // With the old rotations the slope along the change goes from -start at length 0 to 0 at length 1.
     const double start = w_.rhs.matrix().cwiseProduct(w_.change.matrix()).sum();
     double low = 0, low_slope = -start, high = 0, high_slope = 0, length = 1;
     for (int trial = 0; trial < MAX_TRIALS; ++trial)
     {
-      const double slope = start * (length - 1) + along(w_.candidate) - along(state_.rotations);
+      const double turned = turnWork(model_, w_.partition, state_.rotations, w_.candidate, state_.x, w_.change);
+      const double slope = start * (length - 1) + h * turned;
       watch.lap(report.ms.force);
       if (slope <= ENOUGH * start && (length == 1 || slope >= -ENOUGH * start)) return;
       (slope < 0 ? low : high) = length;

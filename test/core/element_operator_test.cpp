@@ -286,15 +286,18 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
   systemProduct(model, one, bent.rotations, 2, 0.3, u, expected);
   NodalField force_reference(model.num_nodes);
   elasticForce(model, one, bent.rotations, bent.x, force_reference);
-  const double work = elasticWork(model, one, bent.rotations, bent.x, u);
-  const double scale = force_reference.matrix().norm() * u.matrix().norm();
-  EXPECT_NEAR(work, force_reference.matrix().cwiseProduct(u.matrix()).sum(), 1e-14 * scale);
+  const Rotations unturned = rest(model);
+  NodalField force_unturned(model.num_nodes);
+  elasticForce(model, one, unturned, bent.x, force_unturned);
+  const double work = turnWork(model, one, unturned, bent.rotations, bent.x, u);
+  const double scale = force_unturned.matrix().norm() * u.matrix().norm();
+  EXPECT_NEAR(work, (force_reference.matrix() - force_unturned.matrix()).cwiseProduct(u.matrix()).sum(), 1e-14 * scale);
   EXPECT_GT(std::abs(work), 1e-4 * scale);
   for (const int threads : {2, 3, 7})
   {
     const Partition partition(model, threads);
     ASSERT_EQ(partition.threads(), threads);
-    EXPECT_EQ(elasticWork(model, partition, bent.rotations, bent.x, u), work);
+    EXPECT_EQ(turnWork(model, partition, unturned, bent.rotations, bent.x, u), work);
     NodalField product(model.num_nodes), again(model.num_nodes);
     systemProduct(model, partition, bent.rotations, 2, 0.3, u, product);
     const auto difference = product.matrix() - expected.matrix();
@@ -329,8 +332,8 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
     table->sum_shares(lists, 0, model.num_nodes, shares.data(), force.data());
     EXPECT_LT((force.matrix() - force_reference.matrix()).norm(), 1e-13 * force_reference.matrix().norm()) << name;
     AlignedVector<double> sums(model.num_blocks);
-    table->force_work(elements, 0, model.num_blocks, bent.rotations.gradients.data(), bent.x.data(), u.data(),
-                      sums.data());
+    table->turn_work(elements, 0, model.num_blocks, unturned.gradients.data(), bent.rotations.gradients.data(),
+                     bent.x.data(), u.data(), sums.data());
     EXPECT_NEAR(std::accumulate(sums.begin(), sums.end(), 0.0), work, 1e-14 * scale) << name;
 
     AlignedVector<double> diagonal(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * model.num_nodes, 0.0);
