@@ -11,8 +11,9 @@ Partition::Partition(const Model& model, int threads)
 {
   constexpr int GROUP = kernels::NODE_GROUP;
   static_assert(CHUNK % GROUP == 0, "chunks are whole groups");
-  constexpr int PIECES = 4;  // of a thread
-  const int pieces = threads_ == 1 ? 1 : std::min(PIECES * threads_, model.num_blocks);
+  constexpr int PIECES = 4;     // of a thread
+  constexpr int SMALLEST = 24;  // blocks of a piece, if threads have more than one: less takes as long as claiming it
+  const int pieces = threads_ == 1 ? 1 : std::clamp(model.num_blocks / SMALLEST, threads_, PIECES * threads_);
   // Nodes are numbered near their elements: as many shares as a piece's elements have belong to about its nodes.
   const auto steps = [&](int chunk) { return model.share_begin[(firstOf(chunk) + GROUP - 1) / GROUP]; };
   int chunk = 0;
