@@ -16,8 +16,8 @@ constexpr int LANES = 16;
 
 /**
  * A body at rest: geometry, material and numbering. Does not change while it is simulated, except for its material
- * (setMaterial()). Elements are in Morton order of their centroids and control points in the order in which the
- * elements meet them, so that neighbours in space are neighbours in memory. "Node" is short for control point.
+ * (setMaterial()). Elements are in the order of a recursive bisection of the body and control points near their
+ * elements, so that neighbours in space are neighbours in memory. "Node" is short for control point.
  */
 struct Model
 {

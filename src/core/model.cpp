@@ -13,35 +13,48 @@ namespace bezier_fem
 {
 namespace
 {
-/** Spreads the lowest 21 bits of v to every third bit. */
-std::uint64_t spread(std::uint64_t v)
+/**
+ * Sorts [begin, end) of the order so that each half, of whole blocks, lies on one side of a plane across the longest
+ * extent of the centroids, and so on in the halves (recursive coordinate bisection): whoever works on a half shares few
+ * nodes with others.
+ */
+void bisect(const Eigen::Matrix3Xd& centroids, std::vector<int>& order, std::size_t begin, std::size_t end)
 {
-  v = (v | v << 32) & 0x1f00000000ffff;
-  v = (v | v << 16) & 0x1f0000ff0000ff;
-  v = (v | v << 8) & 0x100f00f00f00f00f;
-  v = (v | v << 4) & 0x10c30c30c30c30c3;
-  v = (v | v << 2) & 0x1249249249249249;
-  return v;
+  if (end - begin <= LANES) return;
+  Eigen::Vector3d low = centroids.col(order[begin]), high = low;
+  for (std::size_t k = begin; k < end; ++k)
+  {
+    low = low.cwiseMin(centroids.col(order[k]));
+    high = high.cwiseMax(centroids.col(order[k]));
+  }
+  Eigen::Index axis = 0;
+  (high - low).maxCoeff(&axis);
+  const std::size_t blocks = (end - begin + LANES - 1) / LANES, middle = begin + blocks / 2 * LANES;
+  std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(begin),
+                   order.begin() + static_cast<std::ptrdiff_t>(middle),
+                   order.begin() + static_cast<std::ptrdiff_t>(end),
+                   [&](int s, int t) { return std::pair(centroids(axis, s), s) < std::pair(centroids(axis, t), t); });
+  bisect(centroids, order, begin, middle);
+  bisect(centroids, order, middle, end);
 }
 
-/** Mesh tets sorted along a Morton curve through their centroids. */
-std::vector<int> mortonOrder(const TetMesh& mesh)
+/** Mesh tets, neighbours near each other. */
+std::vector<int> elementOrder(const TetMesh& mesh)
 {
-  const Eigen::Vector3d low = mesh.corners.rowwise().minCoeff();
-  const double extent = std::max((mesh.corners.rowwise().maxCoeff() - low).maxCoeff(), 1e-300);
-  const double scale = ((1 << 21) - 1) / extent;
-  std::vector<std::uint64_t> keys(mesh.tets.cols());
+  Eigen::Matrix3Xd centroids = Eigen::Matrix3Xd::Zero(3, mesh.tets.cols());
   for (Eigen::Index t = 0; t < mesh.tets.cols(); ++t)
   {
-    Eigen::Vector3d centroid = Eigen::Vector3d::Zero();
-    for (int a = 0; a < CORNERS; ++a) centroid += mesh.corners.col(mesh.tets(a, t)) / 4;
-    const Eigen::Vector3d cell = (centroid - low) * scale;
-    keys[t] = spread(static_cast<std::uint64_t>(cell.x())) | spread(static_cast<std::uint64_t>(cell.y())) << 1 |
-              spread(static_cast<std::uint64_t>(cell.z())) << 2;
+    for (int a = 0; a < CORNERS; ++a) centroids.col(t) += mesh.corners.col(mesh.tets(a, t)) / 4;
   }
-  std::vector<int> order(keys.size());
+  std::vector<int> order(mesh.tets.cols());
   std::iota(order.begin(), order.end(), 0);
-  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return keys[a] < keys[b]; });
+  bisect(centroids, order, 0, order.size());
+  // nth_element leaves the order within a block open.
+  for (std::size_t begin = 0; begin < order.size(); begin += LANES)
+  {
+    std::sort(order.begin() + static_cast<std::ptrdiff_t>(begin),
+              order.begin() + static_cast<std::ptrdiff_t>(std::min(begin + LANES, order.size())));
+  }
   return order;
 }
 
@@ -327,7 +340,7 @@ Model buildModel(const TetMesh& mesh, Element element, const std::vector<Materia
   model.dilatation = dilatation;
   model.nodes_per_tet = element == Element::QUADRATIC ? QUADRATIC_NODES : CORNERS;
 
-  const std::vector<int> order = mortonOrder(mesh);
+  const std::vector<int> order = elementOrder(mesh);
   model.tet_of_mesh_tet.resize(order.size());
   for (std::size_t k = 0; k < order.size(); ++k) model.tet_of_mesh_tet[order[k]] = static_cast<int>(k);
 
