@@ -107,13 +107,13 @@ def calculix(study, across=(2, 4, 6, 8)):
 def process(study, row):
     """
     ms of a whole process that finds the equilibrium of one of the study's static rows, with reading and writing: the
-    shortest of five runs.
+    shortest of up to ten runs within a second, as CalculiX's is.
     """
     out = folder(study.name, "process")
     values = {key.replace(".", "__"): row[key] for key in DEFAULTS}
     values.update(model__file=row["path"], solver__max_iterations=20000)
     times = []
-    for _ in range(5):
+    while len(times) < 10 and sum(times) < 1000:
         start = time.monotonic()
         run_scene(study.scene, out, "--static", "--probes", os.path.join(out, "probes.csv"), **values)
         times.append(1000 * (time.monotonic() - start))

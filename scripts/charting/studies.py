@@ -299,7 +299,7 @@ def bar(in_short=False, laws=LAWS):
     study.write_scene(meshes.settle(study.tree, *meshes.of_bar((2, 2, 5))))
     coarse = [(1, 1, 2), (1, 1, 3), (2, 2, 3), (2, 2, 5), (3, 3, 8), (4, 4, 10), (6, 6, 15)]
     fine = [(8, 8, 20), (12, 12, 30)]
-    graded = [mesh((1, 1, 3), 1), mesh((2, 2, 5), 1), mesh((2, 2, 5), 2)]
+    graded = [mesh((1, 1, 3), 1), mesh((2, 2, 5), 1), mesh((2, 2, 5), 2), mesh((1, 1, 3), 2)]
     usual, finer, simple = mesh((2, 2, 5)), mesh((4, 4, 10)), mesh((8, 8, 20))
 
     for law in laws:
