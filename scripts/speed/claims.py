@@ -32,6 +32,10 @@ def missing(told):
         yield "kernels: the larger model"
     if told["front"] and "before" not in told["front"]:
         yield "front: the revision before"
+    if told["front"] and {row["law"] for row in told["front"].get("calculix", ())} != {"linear", "green"}:
+        yield "front: CalculiX, which takes Debian's package calculix-ccx"
+    if told["huge_pages"] and len(told["huge_pages"]["rows"]) < len(scenes.HUGE_PAGES):
+        yield "huge_pages: the larger model"
 
 
 def nearest(rows, tets):
@@ -56,14 +60,17 @@ def kernel(told, name, precision, size="small"):
                 if row["kernel"] == name and row["precision"] == precision)
 
 
-def own_match(told, other):
-    """Our fastest point of the same mode and law that errs no more than another program's, or None."""
-    law = other["law"]
-    time = "ms_per_second" if other["mode"] == "dynamic" else "ms_static"
-    some = [row for row in told["front"]["now"] if row["mode"] == other["mode"] and row["elasticity"] == law and
-            row[time] and row["error_tip"]]
-    found = cheapest([(row[time], row["error_tip"]) for row in some], other["error_tip"])
-    return None if found is None else {**some[found], "ms": some[found][time]}
+def own_match(rows, other, law):
+    """Our fastest point of the same mode and of a law that errs no more than another program's, or None."""
+    some = [row for row in rows if row["mode"] == other["mode"] and row["elasticity"] == law and cost(row) and
+            row["error_tip"]]
+    found = cheapest([(cost(row), row["error_tip"]) for row in some], other["error_tip"])
+    return None if found is None else some[found]
+
+
+def cost(row):
+    """ms of one of our points: a simulated second of motion, or finding the equilibrium."""
+    return row["ms_per_second" if row["mode"] == "dynamic" else "ms_static"]
 
 
 def corotated(rows):
@@ -71,10 +78,26 @@ def corotated(rows):
 
 
 def peers(told):
-    """Other programs' rows, each with ours, and how many times as long theirs took; None where we have no such point."""
+    """Bullet's rows, each with ours, and how many times as long theirs took; None where we have no such point."""
     for other in told["front"]["others"]:
-        own = own_match(told, other)
-        yield other, own, own and other["ms"] / own["ms"]
+        own = own_match(told["front"]["now"], other, other["law"])
+        yield other, own, own and other["ms"] / cost(own)
+
+
+def calculix_pairs(rows, others):
+    """
+    CalculiX's rows, each with a law of ours and our point of it: small strain beside the same, NLGEOM, which is Green's
+    strain, beside that and beside the co-rotated law, which is another one.
+    """
+    for other in others:
+        for law in ("linear",) if other["law"] == "linear" else ("green", "corotated"):
+            yield other, law, own_match(rows, other, law)
+
+
+def calculix(told):
+    """The same, and how many times as long theirs took: process beside process, and what is in it beside our solve."""
+    for other, law, own in calculix_pairs(told["front"]["now"], told["front"].get("calculix", ())):
+        yield other, law, own, own and (other["ms"] / own["ms_process"], (other["ms"] - other["ms_idle"]) / cost(own))
 
 
 def claims(told):
@@ -149,13 +172,24 @@ def of_kernels(told):
 
 
 def of_front(told):
-    bullet = [ratio for other, _, ratio in peers(told) if other["program"].startswith("Bullet")]
-    slowest = None if None in bullet else min(bullet, default=None)
-    yield ("At the tip error of each of Bullet's points at most its time",
-           "not reached everywhere" if slowest is None else f"at least {slowest:.2g} times as fast",
-           slowest is not None and slowest >= 1)
+    judged = [("Bullet's points at most its time", [ratio for *_, ratio in peers(told)])]
+    of_calculix = [ratios or (None, None) for *_, ratios in calculix(told)]
+    if of_calculix:
+        processes, solves = zip(*of_calculix)
+        judged += [("CalculiX's points at most its time, process beside process", processes),
+                   ("CalculiX's points at most its time, without reading and writing", solves)]
+    for words, ratios in judged:
+        slowest = None if None in ratios else min(ratios, default=None)
+        yield (f"At the tip error of each of {words}",
+               "not reached everywhere" if slowest is None else f"at least {slowest:.2g} times as fast",
+               slowest is not None and slowest >= 1)
 
 
 def lost(told):
-    """Other programs' points at which theirs is the faster one, or that we do not reach."""
-    return [(other, ratio) for other, _, ratio in peers(told) if ratio is None or ratio < 1]
+    """Other programs' points at which theirs is the faster one, or that we do not reach: which, the least ratio."""
+    found = [(f"{other['program']}, {other['settings']}, {other['tets']} tets, "
+              f"{'at rest' if other['mode'] == 'static' else 'motion'}", other, ratio)
+             for other, _, ratio in peers(told)]
+    found += [(f"{other['program']}, {other['settings']}, {other['law']}, {other['tets']} tets, beside {law}", other,
+               ratios and min(ratios)) for other, law, _, ratios in calculix(told)]
+    return [row for row in found if row[-1] is None or row[-1] < 1]

@@ -1,8 +1,10 @@
 """What is measured, a part each."""
 import os
 import shutil
+import statistics
 import subprocess
 
+import claims
 import engine
 import others
 import scenes
@@ -14,11 +16,11 @@ TELL = ("element", "tets", "mode", "integrator", "time_step", "elasticity", "sol
         "ms_static", "error_tip")
 
 
-def steps_of(scene, overrides, steps, threads=(1,)):
-    """Rows of bench_steps, one for each number of threads."""
+def steps_of(scene, overrides, steps, threads=(1,), environment=()):
+    """Rows of bench_steps, one for each number of threads; `environment`: NAME=VALUE."""
     settings = [word for value in [*scenes.FALL, *overrides] for word in ("--set", value)]
-    text = tools.call(tools.program("bench_steps"), tools.config(f"{scene}.yaml"), "--threads", *threads, "--steps",
-                      steps, *settings)
+    text = tools.call(*(["env", *environment] if environment else []), tools.program("bench_steps"),
+                      tools.config(f"{scene}.yaml"), "--threads", *threads, "--steps", steps, *settings)
     return tables(text)[0]
 
 
@@ -107,30 +109,57 @@ def kernels(_):
         yield found
 
 
+def huge_pages(arguments):
+    """With and without in turns, for what a machine does otherwise drifts; the medians of three of each."""
+    try:
+        with open("/sys/kernel/mm/transparent_hugepage/enabled", encoding="ascii") as file:
+            system = file.read().split("[")[1].split("]")[0]
+    except OSError:
+        system = "unknown"
+    found = {"system": system, "rows": []}
+    for name, scene, overrides, _ in scenes.HUGE_PAGES:
+        told = {"without": [], "with": []}
+        for _ in range(3):
+            for how, tunables in (("without", ""), ("with", "glibc.malloc.hugetlb=1")):
+                told[how] += steps_of(scene, overrides, arguments.steps, environment=[f"GLIBC_TUNABLES={tunables}"])
+        row = {"name": name, "tets": told["with"][0]["tets"]}
+        for how, runs in told.items():
+            row[how] = {key: statistics.median(run[key] for run in runs) for key in ("whole step", "one product")}
+            tools.say(f"{name}, {how} huge pages: {row[how]['whole step']:.2f} ms")
+        found["rows"].append(row)
+        yield found
+
+
 def unit():
     """ms of a product, the bunny's: what the machine is worth at the moment."""
     return steps_of("bunny", [], 1)[0]["one product"]
 
 
 def points(study):
-    return [{key: row[key] for key in TELL} for row in study.rows]
+    return [{key: row.get(key) for key in (*TELL, "ms_process")} for row in study.rows]
 
 
 def front(arguments):
-    """A few of the bar's points and Bullet's, then the points of the revision before."""
+    """A few of the bar's points, Bullet's and CalculiX's, then the points of the revision before."""
     engine.WORK = os.path.join(tools.WORK, "chart")
     shutil.rmtree(engine.WORK, ignore_errors=True)  # nothing kept from another run
     before = earlier(arguments.before)  # now, lest it come between the two
     now = studies.bar(in_short=True)
     revision = subprocess.run(["git", "-C", tools.REPOSITORY, "log", "-1", "--format=%h of %as", arguments.before],
                               capture_output=True, text=True, check=True).stdout.strip()
-    found = {"now": points(now), "revision": revision, "others": others.bullet(now), "products": [unit()]}
+    bullet, calculix = others.bullet(now), others.calculix(now, (2, 4, 6))
+    for *_, own in claims.calculix_pairs(now.rows, calculix):
+        if own and "ms_process" not in own:
+            own["ms_process"] = others.process(now, own)
+    found = {"now": points(now), "revision": revision, "others": bullet, "calculix": calculix,
+             "green_apart": now.apart.get("green"), "products": [unit()]}
     yield found
     with ProgramsOf(before):
-        found["before"] = points(studies.bar(in_short=True))
+        found["before"] = points(studies.bar(in_short=True, laws=studies.LAWS[:1]))
     found["products"].append(unit())
     yield found
 
 
 # Generators: each yields what it has so far, time and again
-PARTS = {"steps": steps, "linear": linear, "growth": growth, "kernels": kernels, "front": front}
+PARTS = {"steps": steps, "linear": linear, "growth": growth, "kernels": kernels, "huge_pages": huge_pages,
+         "front": front}

@@ -57,13 +57,16 @@ def text(told, checks, missing):
     yield from paragraph("## What is claimed, and what came out")
     yield from table(["claim", "measured", "holds"],
                      [[claim, measured, "yes" if holds else "**no**"] for claim, measured, holds in checks])
-    for name, part in (("steps", steps), ("linear", linear), ("growth", growth), ("kernels", kernels)):
+    for name, part in (("steps", steps), ("linear", linear), ("growth", growth), ("kernels", kernels),
+                       ("huge_pages", huge_pages)):
         if told[name]:
             yield from part(told[name])
     if whole_front(told):
         yield from front(told["front"])
     if told["front"]:
         yield from peers(told)
+        yield from calculix(told)
+        yield from losses(told)
 
 
 def steps(rows):
@@ -144,8 +147,12 @@ def kernels(sizes):
         (`bench/roofline.cpp`). The peak takes every operation for half of a fused one; a kernel that also gathers,
         shuffles and adds singly cannot get near it. Bytes are those that a loop goes through, each place once, as a
         triad's three arrays are counted; elements store their shares, which a second loop sums up node by node. The
-        product in double is what residuals are made of, the one in single precision what the solver iterates with;
-        *products* are of a plain product in double for both. Data are in cache if they fit.""")
+        product in double is what residuals are made of; that in single precision, the whole of it, is what the
+        multigrid's own conjugate gradients iterate with. In its smoother, *smoother's product*, *prolonged product*
+        and *Chebyshev's term*, elements leave the mass to the nodes, where it is lumped; that is what the solver does
+        where the mass is a small share of the diagonal, else the smoother takes the whole product too. The diagonal's
+        blocks are made in single precision unless an element is nearly incompressible. *Products* are
+        of a plain product in double for all. Data are in cache if they fit.""")
     yield from table(["peak", ""], [list(row.values()) for row in sizes["small"]["peaks"]])
     for size in sizes.values():
         first = size["rows"][0]
@@ -153,6 +160,26 @@ def kernels(sizes):
         names = ["kernel", "precision", "ms", "products", "flop/byte", "GFlop/s", "GB/s", "of peak", "of bandwidth",
                  "bound by", "of the bound"]
         yield from table(names, [[row[name] for name in names] for row in size["rows"]])
+
+
+def huge_pages(told):
+    yield from paragraph("## Huge pages")
+    yield from paragraph(f"""
+        With `GLIBC_TUNABLES=glibc.malloc.hugetlb=1` in the environment glibc (2.35 or later) asks Linux for memory on
+        pages of 2 MB where it can, whatever the program. Nothing else on this page has it. It does something where
+        `/sys/kernel/mm/transparent_hugepage/enabled` says `madvise`, nothing where it says `never`, and is not needed
+        where it says `always`; here: `{told['system']}`. Whole steps on one thread as above, without and with it in
+        turns, medians of three runs of each. Where the plain product gains more than the step, the step takes more
+        products than before for all that it is faster: the times count.""")
+    rows = []
+    for row in told["rows"]:
+        before, after = row["without"], row["with"]
+        rows.append([row["name"], row["tets"],
+                     *(cell for key in ("whole step", "one product") for cell in (
+                         f"{before[key]:.3g}", f"{after[key]:.3g}", f"{100 * (after[key] / before[key] - 1):+.0f} %")),
+                     *(f"{of['whole step'] / of['one product']:.1f}" for of in (before, after))])
+    yield from table(["scene", "tets", "step (ms)", "with huge pages", "", "one product (ms)", "with huge pages", "",
+                      "step in products", "with huge pages"], rows)
 
 
 def front(told):
@@ -170,10 +197,9 @@ def peers(told):
     yield from paragraph("## Other programs")
     yield from paragraph("""
         The bar of `config/bar.yaml`, same run, one thread. Bullet's deformable body (linear elements, co-rotated,
-        lumped masses, implicit) with its demos' settings and converged; CalculiX is in
-        [doc/speed_accuracy.md](speed_accuracy.md).
-        Against each stands the fastest of our points that errs no more at the tip, of the
-        same law. *At rest*: time of finding the equilibrium, which Bullet does by damped motion.""")
+        lumped masses, implicit) with its demos' settings and converged. Against each stands the fastest of our points
+        that errs no more at the tip, of the same law. *At rest*: time of finding the equilibrium,
+        which Bullet does by damped motion.""")
     rows = []
     for other, own, ratio in judged.peers(told):
         rows.append([other["program"], other["settings"], other["law"], other["tets"],
@@ -182,15 +208,54 @@ def peers(told):
                      percent(other["error_tip"]),
                      own and f"{own['element']}, {own['tets']} tets" + (
                          f", {own['integrator']} {1000 * own['time_step']:g} ms" if own["mode"] == "dynamic" else ""),
-                     own and short(own["ms"]), own and percent(own["error_tip"]), ratio and f"{ratio:.2g}"])
+                     own and short(judged.cost(own)), own and percent(own["error_tip"]), ratio and f"{ratio:.2g}"])
     yield from table(["program", "settings", "law", "tets", "", "time step", "ms (motion: ms/s)", "tip error",
                       "ours", "ours, ms", "ours, tip error", "theirs / ours"], rows)
+
+
+LAWS = {"linear": ("linear", "`linear`, the same law"), "green": ("NLGEOM", "`green`, the same law"),
+        "corotated": ("NLGEOM", "`corotated`, another law")}  # CalculiX's analysis beside which law of ours
+
+
+def calculix(told):
+    yield from paragraph("### CalculiX")
+    if not told["front"].get("calculix"):
+        yield from paragraph("Not measured in this run: `ccx` is missing. It is Debian's package calculix-ccx.")
+        return
+    apart = told["front"]["green_apart"]
+    yield from paragraph(f"""
+        The bar at rest in {told['front']['calculix'][0]['program']} (`bench/calculix_bar`), same run, one thread,
+        double precision, its default direct solver: a program for analyses, not for motion in real time. Its linear
+        analysis is our `elasticity: linear`, its nonlinear one (NLGEOM) is St. Venant-Kirchhoff's law, our
+        `elasticity: green` (`scripts/compare_with_calculix` compares the displacements). Co-rotated elasticity, our
+        default, is another law{"" if apart is None else f", whose tip rests {percent(apart)} of its way elsewhere"};
+        there each one's error is to the converged equilibrium of its own law. Theirs are times of the whole
+        process `ccx`; *without reading* is less that of the same input with `*NO ANALYSIS`, which reads it, finds the
+        structure of the matrix, goes through the elements once and writes: what is left is favourable to CalculiX.
+        Ours: the solve alone inside a program that has loaded the mesh, and the whole process `run_scene --static`
+        with reading and writing. Times are the shortest of a few runs, of one where it takes long; the shortest
+        differences are of the size of their scatter. Two ratios: process beside process, and theirs without reading
+        beside our solve.
+        Ours are solved to 1e-6, CalculiX to its defaults, and our fastest point at the same error may have another
+        element and another mesh, which may be finer where the bar is held.""")
+    rows = []
+    for other, law, own, ratios in judged.calculix(told):
+        rows.append([other["settings"], LAWS[law][0], other["tets"], short(other["ms"]),
+                     short(other["ms"] - other["ms_idle"]), percent(other["error_tip"]), LAWS[law][1],
+                     own and f"{own['element']}, {own['tets']} tets", own and short(judged.cost(own)),
+                     own and short(own["ms_process"]), own and percent(own["error_tip"]),
+                     *([f"{ratio:.2g}" for ratio in ratios] if own else [None, None])])
+    yield from table(["element", "analysis", "tets", "process (ms)", "without reading (ms)", "tip error",
+                      "ours, `elasticity`", "ours", "ours, solve (ms)", "ours, process (ms)", "ours, tip error",
+                      "theirs / ours, processes", "theirs / ours, without reading"], rows)
+
+
+def losses(told):
     lost = judged.lost(told)
     if lost:
         yield from paragraph("**Where we lose:** " + "; ".join(
-            f"{other['program']}, {other['settings']}, {other['tets']} tets, "
-            f"{'at rest' if other['mode'] == 'static' else 'motion'}, tip error {percent(other['error_tip'])}: " +
+            f"{name}, tip error {percent(other['error_tip'])}: " +
             ("we have no such point" if ratio is None else f"{1 / ratio:.2g} times as fast as ours")
-            for other, ratio in lost) + ".")
+            for name, other, ratio in lost) + ".")
     else:
         yield from paragraph("At equal tip error on this bar we lose to none of these points.")

@@ -33,4 +33,6 @@ GROWTH = [("meshed", ["model.cell_size=0.11"], 60), ("meshed", [], 60), ("meshed
 GROWTH_FROM, GROWTH_TO, GROWTH_END = 1000, 30000, 100000  # tets, to the nearest mesh
 ITERATIONS_GROW, TIME_GROWS = 1.5, 2
 
+HUGE_PAGES = STEPS[0], STEPS[2]  # whose steps are timed with and without them
+
 PRODUCT, ROTATIONS = 0.28, 0.2  # of a plain product in double

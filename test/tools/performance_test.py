@@ -39,12 +39,23 @@ def kernel(name, products, precision="double"):
 
 def point(mode, ms, error, law="corotated"):
     return {"element": "quadratic", "tets": 100, "mode": mode, "integrator": "implicit_euler", "time_step": 0.02,
-            "elasticity": law, "solver.tolerance": 1e-4, "ms_per_second": ms, "ms_static": ms, "error_tip": error}
+            "elasticity": law, "solver.tolerance": 1e-4, "ms_per_second": ms, "ms_static": ms, "error_tip": error,
+            "ms_process": ms + 10}
 
 
 def bullet(mode, ms, error):
     return {"program": "Bullet, double precision", "settings": "default", "law": "corotated", "element": "linear",
             "tets": 960, "mode": mode, "time_step": 0.02 if mode == "dynamic" else None, "ms": ms, "error_tip": error}
+
+
+def calculix(law, ms, error):
+    return {"program": "CalculiX 2.20", "settings": "C3D10", "law": law, "element": "quadratic", "tets": 960,
+            "mode": "static", "time_step": None, "ms": ms, "ms_idle": 20, "error_tip": error}
+
+
+def huge_pages(name):
+    return {"name": name, "tets": 3000, "without": {"whole step": 8.0, "one product": 0.4},
+            "with": {"whole step": 7.6, "one product": 0.3}}
 
 
 def everything():
@@ -57,10 +68,13 @@ def everything():
             "growth": [{"how": "meshed", "steps": 20, **step(tets / 1000, tets, iterations=8 + tets // 10000)}
                        for tets in (1041, 3183, 30929, 106345)] +
                       [{"how": "cut", "steps": 20, **step(8, tets)} for tets in (8328, 8330, 8332)],
-            "front": {"now": [point("dynamic", 5, 0.2), point("dynamic", 50, 0.01), point("static", 5, 0.05)],
+            "front": {"now": [point("dynamic", 5, 0.2), point("dynamic", 50, 0.01), point("static", 5, 0.05),
+                              point("static", 4, 0.05, "linear"), point("static", 8, 0.05, "green")],
                       "before": [point("dynamic", 9, 0.2), point("static", 9, 0.05)], "revision": "abc of 2020-01-01",
                       "products": [0.2, 0.21],
-                      "others": [bullet("dynamic", 20, 0.25), bullet("static", 100, 0.2)]}}
+                      "others": [bullet("dynamic", 20, 0.25), bullet("static", 100, 0.2)],
+                      "calculix": [calculix("green", 60, 0.1), calculix("linear", 56, 0.1)], "green_apart": 0.02},
+            "huge_pages": {"system": "madvise", "rows": [huge_pages(name) for name, *_ in scenes.HUGE_PAGES]}}
     rows = [kernel("product", 0.25), kernel("rotations", 0.15), kernel("product", 0.2, "single")]
     told["kernels"] = {size: {"peaks": [{"peak": "multiply-add, double", "": "60 GFlop/s"}],
                               "rows": copy.deepcopy(rows), "set": "avx2"}
@@ -143,14 +157,27 @@ class Claims(unittest.TestCase):
         self.breaks("Rotations", "in a step")
 
     def test_other_programs(self):
-        matches = [(own["ms"], ratio) for _, own, ratio in claims.peers(self.told)]
+        matches = [(claims.cost(own), ratio) for _, own, ratio in claims.peers(self.told)]
         self.assertEqual(matches, [(5, 4), (5, 20)])
         self.assertEqual(claims.lost(self.told), [])
         self.told["front"]["others"].append(bullet("dynamic", 40, 0.02))  # ours takes 50 for that
         self.breaks("Bullet")
         self.told["front"]["others"][-1] = bullet("dynamic", 40, 0.001)  # an error that none of ours has
         self.breaks("Bullet")
-        self.assertEqual([ratio for _, ratio in claims.lost(self.told)], [None])
+        self.assertEqual([ratio for *_, ratio in claims.lost(self.told)], [None])
+
+    def test_calculix(self):
+        matches = [(law, claims.cost(own), ratios) for _, law, own, ratios in claims.calculix(self.told)]
+        self.assertEqual(matches, [("green", 8, (60 / 18, 5)), ("corotated", 5, (4, 8)), ("linear", 4, (4, 9))])
+        self.told["front"]["calculix"][1]["ms"] = 13  # ours takes 14 as a process
+        self.told["front"]["calculix"][1]["ms_idle"] = 5
+        self.breaks("CalculiX", "process beside process")
+        self.assertEqual([(name, ratio) for name, _, ratio in claims.lost(self.told)],
+                         [("CalculiX 2.20, C3D10, linear, 960 tets, beside linear", 13 / 14)])
+        self.told["front"]["calculix"][1].update(ms=20, ms_idle=17)  # ours takes 4 to solve
+        self.breaks("CalculiX", "without reading")
+        self.told["front"]["calculix"][1]["error_tip"] = 0.001  # which none of ours has
+        self.assertEqual(len(broken(self.told)), 2)
 
 
 class Page(unittest.TestCase):
@@ -158,29 +185,37 @@ class Page(unittest.TestCase):
         told = everything()
         told["steps"][0]["one"] = step(18)
         told["front"]["others"].append(bullet("dynamic", 40, 0.02))
+        told["front"]["calculix"].append(calculix("linear", 100, 0.001))
         with tempfile.TemporaryDirectory() as folder:
             page.PAGE, tools.PICTURES = os.path.join(folder, "performance.md"), os.path.join(folder, "performance")
-            self.assertEqual(len(page.write(told)), 2)
+            self.assertEqual(len(page.write(told)), 4)
             self.assertEqual(sorted(os.listdir(tools.PICTURES)),
                              ["front.csv", "front.png", "front.svg", "growth.png", "growth.svg"])
             with open(page.PAGE, encoding="utf-8") as file:
                 text = file.read()
         self.assertIn("| Whole step, bunny, about 3200: at most 16 products | 18.0 | **no** |", text)
         self.assertIn("**Where we lose:** Bullet, double precision, default, 960 tets, motion", text)
+        self.assertIn("CalculiX 2.20, C3D10, linear, 960 tets, beside linear, tip error 0.1 %: we have no such point",
+                      text)
+        self.assertIn("| C3D10 | NLGEOM | 960 | 60 | 40 | 10 % | `corotated`, another law | quadratic, 100 tets | 5 | "
+                      "15 | 5 % | 4 | 8 |", text)
+        self.assertIn("| 3000 | 8 | 7.6 | -5 % | 0.4 | 0.3 | -25 % | 20.0 | 25.3 |", text)
         for rows in tables(text):
             self.assertTrue(rows)
 
     def test_is_of_what_there_is(self):
         told = everything()
         told["growth"] = None
-        del told["steps"][1:], told["front"]["before"], told["kernels"]["large"]
+        del told["steps"][1:], told["front"]["before"], told["kernels"]["large"], told["huge_pages"]["rows"][1:]
+        told["front"]["calculix"] = []
         with tempfile.TemporaryDirectory() as folder:
             page.PAGE, tools.PICTURES = os.path.join(folder, "performance.md"), os.path.join(folder, "performance")
             broken_or_missing = page.write(told)
             with open(page.PAGE, encoding="utf-8") as file:
                 text = file.read()
         missing = ["growth", *(f"steps: {name}" for name, *_ in scenes.STEPS[1:]), "kernels: the larger model",
-                   "front: the revision before"]
+                   "front: the revision before", "front: CalculiX, which takes Debian's package calculix-ccx",
+                   "huge_pages: the larger model"]
         self.assertEqual(broken_or_missing, [f"not measured: {what}" for what in missing])
         for what in missing:
             self.assertIn(what, " ".join(text.split()))
@@ -188,6 +223,7 @@ class Page(unittest.TestCase):
         self.assertNotIn("Whole step, armadillo", text)
         self.assertNotIn("Growth is shown", text)
         self.assertIn("## Other programs", text)
+        self.assertIn("`ccx` is missing", text)
 
 
 class Programs(unittest.TestCase):
@@ -196,7 +232,7 @@ class Programs(unittest.TestCase):
         done = subprocess.run([script, "--programs", ".", "nonsense"], check=False, capture_output=True, text=True)
         self.assertEqual(done.returncode, 1)
         self.assertEqual(done.stderr, "performance: there is no part nonsense; parts are steps linear growth kernels "
-                                      "front\n")
+                                      "huge_pages front\n")
 
     def run_on_bar(self, program, *arguments):
         done = subprocess.run([program, os.path.join(REPOSITORY, "config", "bar.yaml"), *arguments], check=False,
@@ -215,7 +251,9 @@ class Programs(unittest.TestCase):
         for row in rows:  # how much is for a machine to tell that has nothing else to do
             self.assertGreater(row["of peak"], 0)
             self.assertGreater(row["of the bound"], 0)
-        for name, precision in (("product", "double"), ("product", "single"), ("rotations", "double")):
+        for name, precision in (("product", "double"), ("product", "single"), ("rotations", "double"),
+                                ("smoother's product: shares", "single"), ("prolonged product: shares", "single"),
+                                ("sums and Chebyshev's term", "single")):  # which the claims and the page name
             claims.kernel({"kernels": {"small": {"rows": rows}}}, name, precision)
 
 
