@@ -159,6 +159,8 @@ public:
     }
   }
   bool estimated() const { return largest_ > 0; }
+  /** To be estimated anew: with the materials it may be another. */
+  void forget() { largest_ = 0; }
 
   /** Leaves the shares of A u. */
   void multiply(const AlignedVector<float>& u) { multiply(u, true); }
@@ -376,6 +378,7 @@ PMultigrid::~PMultigrid() = default;
 void PMultigrid::forget()
 {
   factor_->forget();
+  if (quadratic_) quadratic_->forget();
 }
 
 void PMultigrid::took(int iterations)
