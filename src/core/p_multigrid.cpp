@@ -452,17 +452,14 @@ void PMultigrid::cycle()
 
 void PMultigrid::apply(const NodalField& r, NodalField& z)
 {
-  const std::ptrdiff_t numbers = 4L * z.size();
   if (!quadratic_)
   {
-    const auto fill = [&](const int* vertices, int count) {
-      for (int k = 0; k < count; ++k) std::copy_n(r.data() + 4L * vertices[k], 3, factor_->right() + 4L * vertices[k]);
-    };
-    std::copy_n(factor_->solve(std::ref(fill)), numbers, z.data());
+    factor_->apply(r, z);
     return;
   }
   const double scale = quadratic_->start(r);
   cycle();
+  const std::ptrdiff_t numbers = 4L * z.size();
   Eigen::Map<Eigen::VectorXd>(z.data(), numbers) =
       scale * Eigen::Map<const Eigen::VectorXf>(quadratic_->correction.data(), numbers).cast<double>();
 }
