@@ -111,7 +111,6 @@ public:
    */
   double start(const NodalField& r)
   {
-    std::fill(partial_.begin(), partial_.end(), 0.0);
     sum([&](int begin, int end) { return r.matrix().middleCols(begin, end - begin).cwiseAbs().maxCoeff(); });
     const double largest = *std::max_element(partial_.begin(), partial_.end()), scale = largest > 0 ? largest : 1;
     forEachPiece(partition_, [&](int t) {
