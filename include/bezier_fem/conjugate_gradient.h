@@ -41,7 +41,7 @@ public:
    * nearest to A u = b in the norm of A; never farther than zero (compare Fischer 1998, "Projection techniques for
    * iterative solution of Ax = b with successive right-hand sides"). To be followed by solve() from that u.
    * @param system  that of the last prepare()
-   * @param count   of the past solutions to use
+   * @param count   of the past solutions to use: 0 to 3
    */
   void start(const SystemOperator& system, const Partition& partition, const NodalField& b,
              const std::array<NodalField, 3>& past, int count, NodalField& u);

@@ -16,8 +16,9 @@ constexpr int LANES = 16;
 
 /**
  * A body at rest: geometry, material and numbering. Does not change while it is simulated, except for its material
- * (setMaterial()). Elements are in the order of a recursive bisection of the body and control points near their
- * elements, so that neighbours in space are neighbours in memory. "Node" is short for control point.
+ * (setMaterials()). Elements are in the order of a recursive bisection of the body and control points near their
+ * elements, corners among edges, so that neighbours in space are neighbours in memory. "Node" is short for control
+ * point.
  */
 struct Model
 {
@@ -57,7 +58,8 @@ struct Model
   std::vector<int> share_begin, share_slots;
   AlignedVector<double> block_mean;  // [block][LANES]: V meanLambda() (Pa m^3); empty where all are zero
 
-  // The largest of the elements': V rho (kg), V (lambda_L + 2 mu) times the largest |g|^2 (N/m), (lambda_L + 2 mu) / mu
+  // The largest of the elements': V rho (kg), V (lambda_L + 2 mu) times the largest |g_i|^2, i > 0 (N/m),
+  // (lambda_L + 2 mu) / mu
   double largest_mass = 0, largest_stiffness = 0, largest_condition = 0;
 
   const int* nodesOf(int tet) const { return tets.data() + static_cast<std::ptrdiff_t>(tet) * nodes_per_tet; }

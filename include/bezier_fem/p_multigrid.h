@@ -15,7 +15,8 @@ class TurnedFactor;
  * Preconditions alpha M + beta K' by the linear elements below the quadratic ones (Weber et al. 2015, "Deformation
  * simulation using cubic finite elements and efficient p-multigrid methods"): a symmetric V-cycle of Chebyshev
  * smoothing with the 3x3 diagonal blocks and a correction from the linear elements on the same tetrahedra. These are a
- * subspace, by degree elevation: b_aa = v_a, b_ab = (v_a + v_b)/2. Of linear elements only the correction is left.
+ * subspace, by degree elevation: b_aa = v_a, b_ab = (v_a + v_b)/2. Where the mass is small beside the stiffness, the
+ * smoothing has it lumped at the nodes. Of linear elements only the correction is left.
  *
  * The linear elements' system is factored now and then, and applied in frames that turn with the mean rotation of each
  * vertex's elements since. What the body has deformed since makes the iteration longer, and never the result wrong.

@@ -85,9 +85,10 @@ void ConjugateGradient::start(const SystemOperator& system, const Partition& par
   }
   const Eigen::Vector2d scale = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
   const Eigen::LLT<Eigen::Matrix2d> llt(scale.asDiagonal() * gram * scale.asDiagonal());
-  if (llt.info() != Eigen::Success) return;  // no motion, or none that differs
-  const Eigen::Vector2d weights = scale.cwiseProduct(llt.solve(scale.cwiseProduct(work)));
-  if (!weights.allFinite()) return;
+  Eigen::Vector2d weights = scale.cwiseProduct(llt.solve(scale.cwiseProduct(work)));
+  // Where the two do not differ, the last one.
+  if (llt.info() != Eigen::Success) weights = {work[0] / gram(0, 0), 0};
+  if (!weights.allFinite()) return;  // there was no motion
   forEachChunk(partition, [&](int first, int nodes) {
     q_.columns(first, nodes) = weights[0] * images_[0].columns(first, nodes);
     u.columns(first, nodes) = weights[0] * basis[0]->columns(first, nodes);

@@ -1,7 +1,5 @@
 #include "direct_preconditioner.h"
 
-#include <functional>
-
 namespace bezier_fem
 {
 DirectPreconditioner::DirectPreconditioner(const Model& model, int threads) : factor_(model, threads)
@@ -21,20 +19,6 @@ bool DirectPreconditioner::prepare(const Model& /*model*/, const Rotations& rota
   }
   factor_.turn(rotations);
   return true;
-}
-
-void DirectPreconditioner::apply(const NodalField& r, NodalField& z)
-{
-  const auto fill = [&](const int* nodes, int count) {
-    for (int k = 0; k < count; ++k)
-    {
-      const std::ptrdiff_t i = 4L * nodes[k];
-      for (int axis = 0; axis < 3; ++axis) factor_.right()[i + axis] = static_cast<float>(r.data()[i + axis]);
-    }
-  };
-  const float* left = factor_.solve(std::ref(fill));
-  const Eigen::Index numbers = 4L * z.size();
-  Eigen::Map<Eigen::VectorXd>(z.data(), numbers) = Eigen::Map<const Eigen::VectorXf>(left, numbers).cast<double>();
 }
 
 }  // namespace bezier_fem

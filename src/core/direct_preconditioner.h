@@ -16,7 +16,7 @@ public:
   void forget() override { factor_.forget(); }
   void took(int iterations) override { factor_.took(iterations, cost_); }
   int patience() const override { return factor_.patience(cost_); }
-  void apply(const NodalField& r, NodalField& z) override;
+  void apply(const NodalField& r, NodalField& z) override { factor_.apply(r, z); }
 
 private:
   TurnedFactor factor_;

@@ -331,8 +331,8 @@ private:
       subtractForce();
     }
 
-    // The nearest start costs as much as two or three iterations with the diagonal blocks, which is what it saves where
-    // there are few.
+    // The nearest start costs as much as two iterations with the diagonal blocks, which is what it saves where there
+    // are few.
     constexpr int FEW = 20;
     if (w_.preconditioner || w_.last_iterations > FEW)
     {

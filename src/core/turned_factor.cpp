@@ -300,4 +300,12 @@ const float* TurnedFactor::solve(const Fill& fill)
   return left_.data();
 }
 
+void TurnedFactor::apply(const NodalField& r, NodalField& z)
+{
+  const auto fill = [&](const int* nodes, int count) {
+    for (int k = 0; k < count; ++k) std::copy_n(r.data() + 4L * nodes[k], 3, right() + 4L * nodes[k]);
+  };
+  std::copy_n(solve(std::ref(fill)), 4L * z.size(), z.data());
+}
+
 }  // namespace bezier_fem

@@ -55,6 +55,8 @@ public:
   using Fill = std::function<void(const int* nodes, int count)>;
   /** About A^-1 right on the free components, 0 on the held ones; 4 floats a node. */
   const float* solve(const Fill& fill);
+  /** z = that of r. */
+  void apply(const NodalField& r, NodalField& z);
 
   const SparseCholesky& cholesky() const { return cholesky_; }
 

@@ -116,6 +116,78 @@ TEST(LinearSolve, StepsAreTheSameToTheBitForAnyNumberOfThreads)
   }
 }
 
+TEST(LinearSolve, BodiesOfFewBlocksAndWhateverIsHeldAreStepped)
+{
+  // One block of elements and several, of fewer chunks of nodes than pieces; threads that there is no work for.
+  enum class Held
+  {
+    NOTHING,
+    FOOT,
+    ALL
+  };
+  const auto supportsOf = [](const Model& model, Held held) {
+    return test::hold(model,
+                      [&](const Vector3d& X) { return held == Held::ALL || (held == Held::FOOT && X.z() < 1e-9); });
+  };
+  for (const Eigen::Vector3i& cells : {Eigen::Vector3i(1, 1, 1), Eigen::Vector3i(1, 1, 3), Eigen::Vector3i(1, 2, 6)})
+  {
+    for (const Element element : {Element::LINEAR, Element::QUADRATIC})
+    {
+      const Model model = test::boxModel(test::irregularBox(cells, {0.4, 0.4, 1.0}), element, STIFF);
+      const NodalField none(model.num_nodes);
+      for (const Elasticity elasticity : {Elasticity::COROTATED, Elasticity::LINEAR})
+      {
+        for (const Kind kind : {Kind::AUTO, Kind::BLOCK_JACOBI, Kind::PMULTIGRID, Kind::DIRECT})
+        {
+          for (const Held held : {Held::NOTHING, Held::FOOT, Held::ALL})
+          {
+            for (const double gravity : {0.0, -9.81})
+            {
+              SCOPED_TRACE(testing::Message()
+                           << model.num_tets << " tets, " << test::name(element) << ", elasticity "
+                           << static_cast<int>(elasticity) << ", preconditioner " << static_cast<int>(kind) << ", held "
+                           << static_cast<int>(held) << ", gravity " << gravity);
+              StepSettings settings = settingsOf(elasticity, kind);
+              settings.gravity = {0, gravity, 0};
+              const Supports supports = supportsOf(model, held);
+              for (const auto step : {implicitEulerStep, sdirk2Step})
+              {
+                NodalField first;
+                for (const int threads : {1, 2, 3, 8})
+                {
+                  Workspace w(model, settings, threads);
+                  ASSERT_EQ(w.partition.threads(), std::min(threads, model.num_blocks));
+                  State state = startState(model, settings, supports, model.rest, Vector3d::Zero(), w);
+                  for (int k = 0; k < 4; ++k)
+                  {
+                    const StepReport report = step(model, settings, supports, {}, none, state, w);
+                    EXPECT_TRUE(report.converged && report.finite);
+                  }
+                  if (threads == 1) first = state.x;
+                  EXPECT_EQ((state.x.matrix() - first.matrix()).cwiseAbs().maxCoeff(), 0) << threads;
+                }
+                const double moved = (first.matrix() - model.rest.matrix()).cwiseAbs().maxCoeff();
+                if (held == Held::ALL)
+                {
+                  EXPECT_EQ(moved, 0);
+                }
+                else if (gravity == 0)
+                {
+                  EXPECT_LT(moved, 1e-12);
+                }
+                else
+                {
+                  EXPECT_GT(moved, 1e-6);
+                }
+              }
+            }
+          }
+        }
+      }
+    }
+  }
+}
+
 TEST(LinearSolve, ToleranceIsMetByTheTrueResidualInDoublePrecision)
 {
   for (const Element element : {Element::LINEAR, Element::QUADRATIC})

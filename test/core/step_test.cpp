@@ -3,8 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <atomic>
 #include <cstdlib>
 #include <new>
+#include <utility>
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/measures.h"
@@ -12,9 +14,9 @@
 
 namespace
 {
-// Every way of asking for memory ends in malloc(); counted while `counting` is set.
-bool counting = false;
-long allocations = 0;
+// Every way of asking for memory ends in malloc(); counted while `counting` is set, whatever thread asks.
+std::atomic<bool> counting = false;
+std::atomic<long> allocations = 0;
 }  // namespace
 
 extern "C" void* __libc_malloc(std::size_t size);
@@ -310,6 +312,7 @@ TEST_P(Stepping, AFastTurnIsSubSteppedAndASlowOneIsNot)
 
 TEST_P(Stepping, AllocatesNothingAfterTheFirstStep)
 {
+  using Kind = Scene::Solver::Preconditioner;
   const Supports supports = hold(model, [](const Vector3d& X) { return X.z() < 1e-9; },
                                  {{0, {0, 0, 0}, {0, 0, 0, 1}}, {1, {3, 0, 0}, {0, 0, 1, 0}}});
   std::vector<AppliedLoad> loads(1);
@@ -317,21 +320,33 @@ TEST_P(Stepping, AllocatesNothingAfterTheFirstStep)
   loads[0].until = 1;
   loads[0].pressure = 100;
   loads[0].faces = model.boundary;
-  for (const Elasticity elasticity : {Elasticity::COROTATED, Elasticity::GREEN})
+  for (const Elasticity elasticity : {Elasticity::COROTATED, Elasticity::LINEAR, Elasticity::GREEN})
   {
-    for (const auto step : {implicitEulerStep, sdirk2Step})
+    for (const Kind kind : {Kind::AUTO, Kind::BLOCK_JACOBI, Kind::PMULTIGRID, Kind::DIRECT})
     {
-      StepSettings s = settings(elasticity);
-      s.damping = {0.5, 0.001};
-      State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
-      step(model, s, supports, loads, no_force, state, workspace);
-      allocations = 0;
-      counting = true;
-      int substeps = 0;
-      for (int k = 0; k < 20; ++k) substeps += step(model, s, supports, loads, no_force, state, workspace).substeps;
-      counting = false;
-      EXPECT_EQ(allocations, 0);
-      EXPECT_GE(substeps, 20);
+      if (elasticity == Elasticity::GREEN && kind != Kind::AUTO) continue;
+      for (const int threads : {1, 2})
+      {
+        for (const auto step : {implicitEulerStep, sdirk2Step})
+        {
+          StepSettings s = settings(elasticity);
+          s.damping = {0.5, 0.001};
+          s.solver.preconditioner = kind;
+          SCOPED_TRACE(testing::Message() << "elasticity " << static_cast<int>(elasticity) << ", preconditioner "
+                                          << static_cast<int>(kind) << ", " << threads << " threads");
+          Workspace w(model, s, threads);
+          ASSERT_EQ(w.partition.threads(), threads);
+          State state = startState(model, s, supports, model.rest, Vector3d::Zero(), w);
+          step(model, s, supports, loads, no_force, state, w);
+          allocations = 0;
+          counting = true;
+          int substeps = 0;
+          for (int k = 0; k < 20; ++k) substeps += step(model, s, supports, loads, no_force, state, w).substeps;
+          counting = false;
+          EXPECT_EQ(allocations, 0);
+          EXPECT_GE(substeps, 20);
+        }
+      }
     }
   }
   // The counter does count.
@@ -367,6 +382,75 @@ TEST_P(Stepping, ThreadsChangeNothing)
         EXPECT_EQ((state.x.matrix() - states[0].x.matrix()).cwiseAbs().maxCoeff(), 0) << threads;
         EXPECT_EQ((state.v.matrix() - states[0].v.matrix()).cwiseAbs().maxCoeff(), 0) << threads;
       }
+    }
+  }
+}
+
+TEST(ConjugateGradients, StartFromTheNearestOfTheExtrapolationAndTheLastSolution)
+{
+  const Model model = test::boxModel(test::irregularBox({2, 2, 3}, {0.4, 0.4, 0.6}), Element::QUADRATIC);
+  const int n = model.num_nodes;
+  const Partition partition(model, 2);
+  const Supports supports = holdFoot(model);
+  const Rotations rotations = restRotations(model);
+  const MatrixFreeSystem<Rotations> system(model, partition, rotations, 1, 4e-4);
+  ConjugateGradient solver(model, partition);
+  solver.prepare(system, model, partition, supports.held, 0);
+  const auto random = [&](unsigned seed) {
+    NodalField field = test::randomField(n, seed);
+    for (int i = 0; i < n; ++i)
+    {
+      if (supports.held[i]) field[i].setZero();
+    }
+    return field;
+  };
+  const auto dot = [](const NodalField& a, const NodalField& c) { return a.matrix().cwiseProduct(c.matrix()).sum(); };
+  const auto norm = [](const NodalField& a) { return a.matrix().norm(); };
+  const auto times = [&](const NodalField& a) {
+    NodalField product(n);
+    system.product(a, product);
+    return product;
+  };
+  const std::array<NodalField, 3> past{random(1), random(2), random(3)};
+  NodalField u(n);
+  for (const int count : {1, 2, 3})
+  {
+    // The polynomial through the past ones, one further.
+    NodalField next = past[0];
+    if (count == 2) next.matrix() += past[0].matrix() - past[1].matrix();
+    if (count == 3) next.matrix() += 2 * past[0].matrix() - 3 * past[1].matrix() + past[2].matrix();
+    NodalField b = random(4);
+    solver.start(system, partition, b, past, count, u);
+    NodalField residual = b;
+    residual.matrix() -= times(u).matrix();
+    EXPECT_GT(norm(u), 0);
+    for (const NodalField* direction : {&std::as_const(next), &past[0]})
+    {
+      EXPECT_LT(std::abs(dot(*direction, residual)), 1e-12 * norm(*direction) * norm(b)) << count;
+    }
+    // What is in their span is found, and solve() knows its product.
+    NodalField expected(n);
+    expected.matrix() = 0.7 * next.matrix() + 0.2 * past[0].matrix();
+    b = times(expected);
+    solver.start(system, partition, b, past, count, u);
+    EXPECT_LT((u.matrix() - expected.matrix()).norm(), 1e-11 * norm(expected)) << count;
+    const SolveReport report = solver.solve(system, partition, b, u, 1e-10, 100);
+    EXPECT_TRUE(report.converged);
+    EXPECT_EQ(report.iterations, 0) << count;
+  }
+
+  // Nothing to start from; and solutions that do not differ, of which one says all: not farther than zero.
+  const NodalField b = random(4), zero(n);
+  solver.start(system, partition, b, past, 0, u);
+  EXPECT_EQ(norm(u), 0);
+  for (const NodalField& same : {zero, past[0]})
+  {
+    for (const int count : {1, 2, 3})
+    {
+      solver.start(system, partition, b, {same, same, same}, count, u);
+      EXPECT_TRUE(u.matrix().allFinite());
+      EXPECT_LE(dot(u, times(u)) - 2 * dot(u, b), 1e-12 * std::abs(dot(u, b)));
+      EXPECT_TRUE(solver.solve(system, partition, b, u, 1e-8, 10000).converged);
     }
   }
 }
