@@ -318,7 +318,7 @@ private:
     });
   }
 
-  /** Returns the sum over the nodes of what the lumped mass is of the diagonal. */
+  /** Returns the sum over the nodes of the square of what the lumped mass is of the diagonal. */
   double takeInverse(double alpha, const AlignedVector<double>& inverse)
   {
     constexpr int GROUP = kernels::NODE_GROUP;
