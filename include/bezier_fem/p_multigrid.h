@@ -41,7 +41,6 @@ private:
 
   void cycle();
 
-  const Partition& partition_;
   double cost_;                                  // of a factor, in iterations
   std::vector<int> node_of_vertex_;              // of the linear elements, to the model's nodes
   std::vector<std::array<int, 2>> vertices_of_;  // the two vertices of each node; up to a whole group of nodes

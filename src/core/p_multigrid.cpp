@@ -348,8 +348,7 @@ private:
 };
 
 PMultigrid::PMultigrid(const Model& model, const Partition& partition)
-    : partition_(partition),
-      linear_(linearModel(model, node_of_vertex_, vertices_of_)),
+    : linear_(linearModel(model, node_of_vertex_, vertices_of_)),
       linear_rotations_(restRotations(*linear_)),
       factor_(std::make_unique<TurnedFactor>(*linear_, partition.threads())),
       held_vertices_(node_of_vertex_.size())

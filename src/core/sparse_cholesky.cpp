@@ -231,6 +231,7 @@ std::vector<int> partingRoots(const std::vector<Columns>& panels, std::vector<in
     std::sort(roots.begin(), roots.end(),
               [&](int a, int b) { return std::pair(works[b], a) < std::pair(works[a], b); });
     std::vector<double> parts;
+    parts.reserve(roots.size());
     for (const int root : roots) parts.push_back(works[root]);
     const double time = 2 * (parting + WAKE) + longest(parts, 2) + longest(parts, 4);
     if (time < least)
