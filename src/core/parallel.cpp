@@ -1,5 +1,6 @@
 #include "parallel.h"
 
+#include <array>
 #include <atomic>
 #include <condition_variable>
 #include <mutex>
@@ -44,23 +45,22 @@ public:
       return;
     }
     while (static_cast<int>(threads_.size()) < threads - 1) threads_.emplace_back([this] { serve(); });
-    // A number in between, of which nothing can be claimed: a claim of the job before fails from here on, also of one
-    // who has seen it with all pieces claimed, and now sees how many there are of this one.
-    const auto before = static_cast<std::uint32_t>(claimed_.load(std::memory_order_relaxed) >> 32);
-    const std::uint32_t between = before + 1, job = before + 2;
-    claimed_.store(std::uint64_t{between} << 32 | NONE);
-    work_.store(work, std::memory_order_release);
-    data_.store(data, std::memory_order_release);
-    pieces_.store(pieces, std::memory_order_release);
+    const auto number = static_cast<std::uint32_t>(claimed_.load(std::memory_order_relaxed) >> 32) + 1;
+    Job& job = jobs_[number % 2];
+    job.work.store(work, std::memory_order_relaxed);
+    job.data.store(data, std::memory_order_relaxed);
+    job.pieces.store(pieces, std::memory_order_relaxed);
     done_.store(0, std::memory_order_relaxed);
-    claimed_.store(std::uint64_t{job} << 32);
+    // The first piece is the caller's.
+    claimed_.store(std::uint64_t{number} << 32 | FROM_FRONT);
     if (asleep_.load() > 0)
     {
       const std::lock_guard<std::mutex> sleepers(mutex_);
       wake_.notify_all();
     }
-    help(job, FROM_FRONT);
-    for (int spins = 0; done_.load(std::memory_order_acquire) < pieces; ++spins)
+    work(data, 0);
+    const int by_others = pieces - 1 - help(number, FROM_FRONT);
+    for (int spins = 0; done_.load(std::memory_order_acquire) < by_others; ++spins)
     {
       spins < SPINS ? pause() : std::this_thread::yield();
     }
@@ -69,30 +69,40 @@ public:
 private:
   static constexpr int SPINS = 1000, YIELDS = 1000;
   static constexpr std::uint64_t FROM_FRONT = 1, FROM_BACK = 1 << 16;
-  static constexpr std::uint64_t NONE = 0xffffffff;  // more than any job has
+  static constexpr std::size_t LINE = 64;  // bytes of a cache line, which travels between cores as a whole
+
+  struct Job
+  {
+    std::atomic<void (*)(const void*, int)> work = nullptr;
+    std::atomic<const void*> data = nullptr;
+    std::atomic<int> pieces = 0;
+  };
 
   /**
-   * Works on pieces of the job until all are claimed, or until another job has begun. Who has called takes them from
-   * the front and the others from the back, so that much of what one loop leaves in a core's cache is there for the
-   * next.
+   * Works on pieces of the job until all are claimed, or until another job has begun; returns on how many. Who has
+   * called takes them from the front and the others from the back, so that much of what one loop leaves in a core's
+   * cache is there for the next.
    */
-  void help(std::uint64_t job, std::uint64_t end)
+  int help(std::uint64_t number, std::uint64_t end)
   {
+    int count = 0;
     std::uint64_t claimed = claimed_.load();
-    while (claimed >> 32 == job)
+    while (claimed >> 32 == number)
     {
-      // What belongs to the job is read before the claim, which fails if it was the next one's.
-      const auto work = work_.load(std::memory_order_acquire);
-      const void* data = data_.load(std::memory_order_acquire);
-      const int pieces = pieces_.load(std::memory_order_acquire);
+      // What belongs to the job is read before the claim, which fails if it was already that of the one after next.
+      const Job& job = jobs_[number % 2];
+      const auto work = job.work.load(std::memory_order_relaxed);
+      const void* data = job.data.load(std::memory_order_relaxed);
+      const int pieces = job.pieces.load(std::memory_order_relaxed);
       const auto front = static_cast<int>(claimed & 0xffff), back = static_cast<int>(claimed >> 16 & 0xffff);
-      if (front + back >= pieces) return;
+      if (front + back >= pieces) break;
       if (!claimed_.compare_exchange_weak(claimed, claimed + end)) continue;
-      const int piece = end == FROM_FRONT ? front : pieces - 1 - back;
-      work(data, piece);
-      done_.fetch_add(1, std::memory_order_release);
+      work(data, end == FROM_FRONT ? front : pieces - 1 - back);
+      ++count;
+      if (end == FROM_BACK) done_.fetch_add(1, std::memory_order_release);
       claimed = claimed_.load();
     }
+    return count;
   }
 
   void serve()
@@ -122,12 +132,12 @@ private:
 
   std::mutex busy_;
   std::vector<std::thread> threads_;
-  std::atomic<std::uint64_t> claimed_ = 0;  // 32 bits the number of the job, 16 each claimed from the back and front
-  std::atomic<void (*)(const void*, int)> work_ = nullptr;
-  std::atomic<const void*> data_ = nullptr;
-  std::atomic<int> pieces_ = 0, done_ = 0;
+  // 32 bits the number of the job, 16 each claimed from the back and front; beside it this job and the one before
+  alignas(LINE) std::atomic<std::uint64_t> claimed_ = 0;
+  std::array<Job, 2> jobs_;
+  alignas(LINE) std::atomic<int> done_ = 0;  // pieces, by others than the caller
 
-  std::mutex mutex_;
+  alignas(LINE) std::mutex mutex_;
   std::condition_variable wake_;
   std::atomic<int> asleep_ = 0;
   bool stop_ = false;
