@@ -50,6 +50,8 @@ class AssembledMatrix
 public:
   /** All zero. */
   explicit AssembledMatrix(const Model& model);
+  /** All zero, of a pattern that is symmetric and has the diagonal; columns sorted within a row. */
+  AssembledMatrix(std::vector<int> row_begin, std::vector<int> column);
 
   /** out = A u; out has at least num_nodes rows. The same whatever the number of threads. */
   void product(const Partition& partition, const NodalField& u, NodalField& out) const;

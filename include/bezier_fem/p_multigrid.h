@@ -9,7 +9,7 @@
 
 namespace bezier_fem
 {
-class TurnedFactor;
+class TurnedInverse;
 
 /**
  * Preconditions alpha M + beta K' by the linear elements below the quadratic ones (Weber et al. 2015, "Deformation
@@ -19,12 +19,15 @@ class TurnedFactor;
  * smoothing has it lumped at the nodes. Of linear elements only the correction is left.
  *
  * The linear elements' system is factored now and then, and applied in frames that turn with the mean rotation of each
- * vertex's elements since. What the body has deformed since makes the iteration longer, and never the result wrong.
+ * vertex's elements since. What the body has deformed since makes the iteration longer, and never the result wrong. A
+ * large one's is not factored: a cycle over aggregates of vertices, made and turned like the factor, stands for it.
  */
 class PMultigrid final : public Preconditioner
 {
 public:
+  /** The linear elements' system is factored up to some thousands of vertices. */
   PMultigrid(const Model& model, const Partition& partition);
+  PMultigrid(const Model& model, const Partition& partition, bool factored);
   ~PMultigrid() override;
 
   bool prepare(const Model& model, const Rotations& rotations, const HeldAxes& held, double alpha, double beta,
@@ -41,13 +44,13 @@ private:
 
   void cycle();
 
-  double cost_;                                  // of a factor, in iterations
+  double cost_;                                  // of making the linear elements' inverse, in iterations
   std::vector<int> node_of_vertex_;              // of the linear elements, to the model's nodes
   std::vector<std::array<int, 2>> vertices_of_;  // the two vertices of each node; up to a whole group of nodes
   std::vector<int> edges_begin_, edges_;         // of each vertex: the nodes of its edges
   std::unique_ptr<Model> linear_;
   Rotations linear_rotations_;  // only their gradients are looked at
-  std::unique_ptr<TurnedFactor> factor_;
+  std::unique_ptr<TurnedInverse> inverse_;
   HeldAxes held_vertices_;
   std::unique_ptr<QuadraticLevel> quadratic_;  // null for linear elements
 };

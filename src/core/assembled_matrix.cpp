@@ -112,6 +112,12 @@ AssembledMatrix::AssembledMatrix(const Model& model)
   blocks_.assign(9 * column_.size() + 1, 0.0);
 }
 
+AssembledMatrix::AssembledMatrix(std::vector<int> row_begin, std::vector<int> column)
+    : row_begin_(std::move(row_begin)), column_(std::move(column)), blocks_(9 * column_.size() + 1, 0.0)
+{
+  for (int i = 0; i < rows(); ++i) diagonal_.push_back(slot(i, i));
+}
+
 int AssembledMatrix::slot(int i, int j) const
 {
   const auto begin = column_.begin() + row_begin_[i], end = column_.begin() + row_begin_[i + 1];

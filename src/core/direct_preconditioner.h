@@ -1,6 +1,6 @@
 #pragma once
 
-#include "turned_factor.h"
+#include "turned_inverse.h"
 
 namespace bezier_fem
 {
@@ -19,7 +19,7 @@ public:
   void apply(const NodalField& r, NodalField& z) override { factor_.apply(r, z); }
 
 private:
-  TurnedFactor factor_;
+  TurnedInverse factor_;
   double cost_;  // of a factor, in iterations
 };
 

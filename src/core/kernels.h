@@ -71,6 +71,15 @@ struct SingleElements
 /** Nodes whose inverted diagonal blocks lie side by side in single precision: three columns of x, y, z, 0 of each. */
 constexpr int INVERSE_GROUP = NODE_GROUP;
 
+/** Rows of 3x3 blocks, INVERSE_GROUP of them side by side. */
+struct SingleRows
+{
+  const int* begin;    // of each group of rows, then an end: steps
+  const int* columns;  // [step][INVERSE_GROUP]
+  const float*
+      blocks;  // [step][3][INVERSE_GROUP][4]: three columns of x, y, z, 0 of each; zero where there are no more
+};
+
 /**
  * Where the 3x3 blocks of an assembled matrix are, row by row, columns sorted. A block is 9 doubles, by columns; there
  * is one double more after the last block.
@@ -305,6 +314,11 @@ struct Table
   void (*prolonged_chebyshev)(const NodeShares& lists, int begin, int end, float gain, const float* shares,
                               const float* inverse, const float* mass, const int* ends, const float* c, float* r,
                               float* d, float* z);
+  /** r = b - A x; r may be b. */
+  void (*rows_residual)(const SingleRows& rows, int begin, int end, const float* b, const float* x, float* r);
+  /** e = keep d + gain B^-1 r, z += e */
+  void (*single_smooth)(int begin, int end, float keep, float gain, const float* inverse, const float* r,
+                        const float* d, float* e, float* z);
   /** y = L x and y = L^T x of a panel L by columns, its rows a multiple of LANES, with zeros above its diagonal. */
   void (*panel_product)(int rows, int columns, const float* panel, const float* x, float* y);
   void (*panel_transpose_product)(int rows, int columns, const float* panel, const float* x, float* y);

@@ -718,6 +718,8 @@ const Table TABLE = {
     subtractShares,
     singleChebyshev,
     prolongedChebyshev,
+    rowsResidual,
+    singleSmooth,
     panelProduct,
     panelTransposeProduct,
     {greenEnergy<4>, addGreenForce<4>, lineariseGreen<4>, addGreenProduct<4>, addGreenDiagonal<4>},

@@ -249,6 +249,41 @@ void singleRedirect(int begin, int end, float b, const float* z, float* p)
   forEachSingleNodes(begin, end, [&](long at, long /*block*/) { store(p + at, load(z + at) + keep * load(p + at)); });
 }
 
+void rowsResidual(const SingleRows& rows, int begin, int end, const float* b, const float* x, float* r)
+{
+  constexpr int REGISTERS = 4 * NODE_GROUP / SINGLE_WIDTH;
+  for (int i = begin; i < end; i += NODE_GROUP)
+  {
+    SingleVec sum[REGISTERS];
+    for (int part = 0; part < REGISTERS; ++part) sum[part] = load(b + 4L * i + part * SINGLE_WIDTH);
+    for (long step = rows.begin[i / NODE_GROUP]; step < rows.begin[i / NODE_GROUP + 1]; ++step)
+    {
+      const int* columns = rows.columns + NODE_GROUP * step;
+      const float* blocks = rows.blocks + 12L * NODE_GROUP * step;
+      for (int part = 0; part < REGISTERS; ++part)
+      {
+        SingleNode nodes[SINGLE_WIDTH / 4];
+        unrolled<SINGLE_WIDTH / 4>([&](auto k)
+                                       INLINED { nodes[k] = loadNode(x, columns[part * (SINGLE_WIDTH / 4) + k]); });
+        sum[part] -= timesInverse(blocks + part * SINGLE_WIDTH, together(nodes));
+      }
+    }
+    for (int part = 0; part < REGISTERS; ++part) store(r + 4L * i + part * SINGLE_WIDTH, sum[part]);
+  }
+}
+
+void singleSmooth(int begin, int end, float keep, float gain, const float* inverse, const float* r, const float* d,
+                  float* e, float* z)
+{
+  const SingleVec k = SingleVec{} + keep, g = SingleVec{} + gain;
+  forEachSingleNodes(begin, end, [&](long at, long block) {
+    SingleVec direction = g * timesInverse(inverse + block, load(r + at));
+    if (keep != 0) direction += k * load(d + at);
+    store(e + at, direction);
+    store(z + at, load(z + at) + direction);
+  });
+}
+
 /** N registers of y = L x from row i on. */
 template <int N>
 ALWAYS_INLINE void panelRows(int rows, int columns, const float* panel, const float* x, int i, float* y)

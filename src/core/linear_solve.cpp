@@ -16,8 +16,8 @@ using Kind = Scene::Solver::Preconditioner;
 constexpr int PATIENCE = 20;
 /** The same where the factor may not serve again. */
 constexpr int PATIENCE_ONCE = 200;
-/** Of the linear elements: beyond, their factor takes over half a gigabyte, and ten seconds to make. */
-constexpr int MOST_VERTICES = 40000;
+/** Of the linear elements: beyond, the system of their aggregates is as large as what is factored elsewhere. */
+constexpr int MOST_VERTICES = 400000;
 /** Of the whole system: beyond, its factor leaves the caches, and takes half a second to make. */
 constexpr int MOST_NODES = 3000;
 

@@ -10,7 +10,7 @@
 #include "element_loop.h"
 #include "kernels.h"
 #include "parallel.h"
-#include "turned_factor.h"
+#include "turned_inverse.h"
 
 namespace bezier_fem
 {
@@ -29,6 +29,13 @@ constexpr double RANGE = 30;
 constexpr double LUMPED_SHARE = 0.25;
 /** The largest eigenvalue is estimated from below, and changes a little as the elements turn. */
 constexpr double MARGIN = 1.1;
+
+/**
+ * Vertices up to which the linear elements' system is factored, below quadratic elements and of linear ones. Around
+ * here a step takes as long with the factor as with aggregates, which take up to a fifth more iterations, and of linear
+ * elements three times as many.
+ */
+constexpr int MOST_FACTORED = 3000, MOST_LINEAR_FACTORED = 5000;
 
 /** The linear elements on the tetrahedra of a quadratic model, at rest; or a copy of a linear one. */
 std::unique_ptr<Model> linearModel(const Model& model, std::vector<int>& node_of_vertex,
@@ -348,16 +355,19 @@ private:
 };
 
 PMultigrid::PMultigrid(const Model& model, const Partition& partition)
+    : PMultigrid(model, partition, model.num_corners <= (model.quadratic() ? MOST_FACTORED : MOST_LINEAR_FACTORED))
+{
+}
+
+PMultigrid::PMultigrid(const Model& model, const Partition& partition, bool factored)
     : linear_(linearModel(model, node_of_vertex_, vertices_of_)),
       linear_rotations_(restRotations(*linear_)),
-      factor_(std::make_unique<TurnedFactor>(*linear_, partition.threads())),
+      inverse_(std::make_unique<TurnedInverse>(
+          *linear_, partition.threads(), factored ? TurnedInverse::Form::FACTOR : TurnedInverse::Form::AGGREGATION)),
       held_vertices_(node_of_vertex_.size())
 {
-  // In seconds on a processor of 2.6 GHz, so that the ratio is one of work and not of today's clock.
-  const SparseCholesky& cholesky = factor_->cholesky();
-  const double factor = 1e-10 * cholesky.work();
-  const double iteration = 4e-7 * model.num_tets + 8e-10 * static_cast<double>(cholesky.size());
-  cost_ = std::max(10.0, factor / iteration);
+  const BlockInverse& inverse = inverse_->inverse();
+  cost_ = std::max(10.0, inverse.makingTime() / (4e-7 * model.num_tets + inverse.solvingTime()));
   if (!model.quadratic()) return;
   quadratic_ = std::make_unique<QuadraticLevel>(model, partition, *linear_);
   edges_begin_.assign(node_of_vertex_.size() + 1, 0);
@@ -382,13 +392,13 @@ PMultigrid::~PMultigrid() = default;
 
 void PMultigrid::forget()
 {
-  factor_->forget();
+  inverse_->forget();
   if (quadratic_) quadratic_->forget();
 }
 
 void PMultigrid::took(int iterations)
 {
-  factor_->took(iterations, cost_);
+  inverse_->took(iterations, cost_);
 }
 
 bool PMultigrid::prepare(const Model& model, const Rotations& rotations, const HeldAxes& held, double alpha,
@@ -396,8 +406,8 @@ bool PMultigrid::prepare(const Model& model, const Rotations& rotations, const H
 {
   if (quadratic_) quadratic_->take(rotations, alpha, beta, inverse);
   for (std::size_t k = 0; k < node_of_vertex_.size(); ++k) held_vertices_[k] = held[node_of_vertex_[k]];
-  const bool same = factor_->isOf(held_vertices_, alpha, beta);
-  if (!same || !factor_->valid())
+  const bool same = inverse_->isOf(held_vertices_, alpha, beta);
+  if (!same || !inverse_->valid())
   {
     linear_->block_coefficients = model.block_coefficients;
     // Of several rotations, the mean.
@@ -412,10 +422,10 @@ bool PMultigrid::prepare(const Model& model, const Rotations& rotations, const H
         linear_rotations_.gradients[block * BLOCK + k] = sum / rotations.points;
       }
     }
-    if (!factor_->factor(linear_rotations_, rotations, held_vertices_, alpha, beta)) return false;
+    if (!inverse_->make(linear_rotations_, rotations, held_vertices_, alpha, beta)) return false;
     if (quadratic_ && !(same && quadratic_->estimated())) quadratic_->estimateLargest(held);
   }
-  factor_->turn(rotations);
+  inverse_->turn(rotations);
   return true;
 }
 
@@ -439,10 +449,10 @@ void PMultigrid::cycle()
       {
         edges += ConstNode(residual + 4L * edges_[e]);
       }
-      Node(factor_->right() + 4L * vertex) = ConstNode(residual + 4L * node_of_vertex_[vertex]) + 0.5f * edges;
+      Node(inverse_->right() + 4L * vertex) = ConstNode(residual + 4L * node_of_vertex_[vertex]) + 0.5f * edges;
     }
   };
-  const float* corners = factor_->solve(std::ref(restrict));
+  const float* corners = inverse_->solve(std::ref(restrict));
   level.correct(corners, vertices_of_);
   level.smooth();
 }
@@ -451,7 +461,7 @@ void PMultigrid::apply(const NodalField& r, NodalField& z)
 {
   if (!quadratic_)
   {
-    factor_->apply(r, z);
+    inverse_->apply(r, z);
     return;
   }
   const double scale = quadratic_->start(r);

@@ -421,15 +421,20 @@ SparseCholesky::SparseCholesky(const AssembledMatrix& pattern, const NodalField&
   }
 }
 
-double SparseCholesky::work() const
+double SparseCholesky::makingTime() const
 {
-  double sum = 0;
+  double sum = 0;  // multiplications
   for (const Supernode& node : supernodes_)
   {
     const double w = 3.0 * (node.end - node.begin), below = 3.0 * node.rows_count;
     sum += w * w * w / 6 + below * w * w / 2 + below * below * w / 2;
   }
-  return sum;
+  return 1e-10 * sum;
+}
+
+double SparseCholesky::solvingTime() const
+{
+  return 8e-10 * static_cast<double>(size_);  // from memory; from cache a seventh
 }
 
 bool SparseCholesky::factor(const AssembledMatrix& matrix)

@@ -6,6 +6,7 @@
 
 #include "bezier_fem/assembled_matrix.h"
 #include "bezier_fem/nodal_field.h"
+#include "block_inverse.h"
 
 namespace bezier_fem
 {
@@ -16,7 +17,7 @@ namespace bezier_fem
  * the elimination tree that have nothing to do with each other are solved at the same time, as many for any number of
  * threads: what they add to the rows of those that part them is summed up in their order.
  */
-class SparseCholesky
+class SparseCholesky final : public BlockInverse
 {
 public:
   /** @param positions  of the nodes; only their neighbourhood matters */
@@ -28,19 +29,20 @@ public:
    */
   bool factor(const AssembledMatrix& matrix);
 
+  bool make(const AssembledMatrix& matrix, const HeldAxes& /*held*/, const float* /*frames*/) override
+  {
+    return factor(matrix);
+  }
+  double makingTime() const override;
+  double solvingTime() const override;
+
   /** x = A^-1 b; 4 floats a row: x, y, z and one that is not looked at. */
   void solve(const float* b, float* x);
-  /** Of rows [begin, end) in the order of elimination, order()[k] of the matrix: 4 floats each, as above. */
-  using Read = std::function<void(int begin, int end, float* b)>;
-  using Write = std::function<void(int begin, int end, const float* x)>;
-  /** The same of sides of any form, by several threads: `read` fills in b, `write` is given x. */
-  void solve(int threads, const Read& read, const Write& write);
-  const std::vector<int>& order() const { return order_; }
+  void solve(int threads, const Read& read, const Write& write) override;
+  const std::vector<int>& order() const override { return order_; }
 
   /** Numbers of the factor, and of what fills up registers, each of which a solve reads twice. */
   std::size_t size() const { return size_; }
-  /** Multiplications in factor(). */
-  double work() const;
 
 private:
   void invertDiagonal();

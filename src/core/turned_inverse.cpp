@@ -1,4 +1,4 @@
-#include "turned_factor.h"
+#include "turned_inverse.h"
 
 #include <Eigen/Dense>
 #include <algorithm>
@@ -8,7 +8,9 @@
 #include <limits>
 #include <numeric>
 
+#include "aggregation.h"
 #include "parallel.h"
+#include "sparse_cholesky.h"
 
 namespace bezier_fem
 {
@@ -131,6 +133,13 @@ void hold(const HeldAxes& held, AssembledMatrix& matrix)
   }
 }
 
+std::unique_ptr<BlockInverse> inverseOf(TurnedInverse::Form form, const AssembledMatrix& pattern,
+                                        const NodalField& rest)
+{
+  if (form == TurnedInverse::Form::AGGREGATION) return std::make_unique<Aggregation>(pattern, rest);
+  return std::make_unique<SparseCholesky>(pattern, rest);
+}
+
 void scaleDiagonal(double factor, AssembledMatrix& matrix)
 {
   for (int i = 0; i < matrix.rows(); ++i)
@@ -140,21 +149,21 @@ void scaleDiagonal(double factor, AssembledMatrix& matrix)
 }
 }  // namespace
 
-TurnedFactor::TurnedFactor(const Model& model, int threads)
+TurnedInverse::TurnedInverse(const Model& model, int threads, Form form)
     : model_(model),
       partition_(model, threads),
       system_(model, partition_),
-      cholesky_(system_.matrix(), model.rest),
+      inverse_(inverseOf(form, system_.matrix(), model.rest)),
       rotations_(COLUMNS * LANES * model.num_blocks),
       elements_begin_(model.num_nodes + 1),
       elements_(model.tets.size()),
-      factored_frames_(COLUMNS * model.num_nodes),
+      made_frames_(COLUMNS * model.num_nodes),
       frames_(FRAME * model.num_nodes),
       right_(4 * static_cast<std::size_t>(model.num_nodes)),
       left_(right_.size())
 {
   std::vector<int> place(model.num_nodes);
-  for (int k = 0; k < model.num_nodes; ++k) place[cholesky_.order()[k]] = k;
+  for (int k = 0; k < model.num_nodes; ++k) place[inverse_->order()[k]] = k;
   for (const int i : model.tets) ++elements_begin_[place[i] + 1];
   std::partial_sum(elements_begin_.begin(), elements_begin_.end(), elements_begin_.begin());
   std::vector<int> next(elements_begin_.begin(), elements_begin_.end() - 1);
@@ -164,8 +173,8 @@ TurnedFactor::TurnedFactor(const Model& model, int threads)
   }
 }
 
-bool TurnedFactor::factor(const Rotations& rotations, const Rotations& frames, const HeldAxes& held, double alpha,
-                          double beta)
+bool TurnedInverse::make(const Rotations& rotations, const Rotations& frames, const HeldAxes& held, double alpha,
+                         double beta)
 {
   alpha_ = alpha;
   beta_ = beta;
@@ -173,7 +182,7 @@ bool TurnedFactor::factor(const Rotations& rotations, const Rotations& frames, c
   fewest_ = -1;
   excess_ = 0;
   takeRotations(frames);
-  forEachNode([&](int k, const Columns& frame) { columnsAt(factored_frames_.data() + COLUMNS * k) = frame; });
+  forEachNode([&](int k, const Columns& frame) { columnsAt(made_frames_.data() + COLUMNS * k) = frame; });
   turned_ = false;
   system_.assemble(rotations, alpha, beta);
   AssembledMatrix& matrix = system_.matrix();
@@ -184,27 +193,27 @@ bool TurnedFactor::factor(const Rotations& rotations, const Rotations& frames, c
   {
     if (wanted > 1) scaleDiagonal(wanted / larger, matrix);
     larger = wanted;
-    valid_ = cholesky_.factor(matrix);
+    valid_ = inverse_->make(matrix, held, made_frames_.data());
     if (valid_) break;
   }
   return valid_;
 }
 
-void TurnedFactor::took(int iterations, double cost)
+void TurnedInverse::took(int iterations, double cost)
 {
   if (fewest_ < 0) fewest_ = iterations;
   excess_ += std::max(0, iterations - fewest_);
   if (excess_ > cost) valid_ = false;
 }
 
-int TurnedFactor::patience(double cost) const
+int TurnedInverse::patience(double cost) const
 {
   if (fewest_ < 0) return std::numeric_limits<int>::max();
   return fewest_ + static_cast<int>(std::min(cost, 1e6)) - excess_ + 1;
 }
 
 /** @return  whether they are others than the last */
-bool TurnedFactor::takeRotations(const Rotations& rotations)
+bool TurnedInverse::takeRotations(const Rotations& rotations)
 {
   std::atomic<bool> others = false;
   forEachPiece(partition_, [&](int piece) {
@@ -244,9 +253,9 @@ bool TurnedFactor::takeRotations(const Rotations& rotations)
   return others;
 }
 
-/** Calls f(k, frame) with the mean rotation of each node's elements, nodes in the order of elimination. */
+/** Calls f(k, frame) with the mean rotation of each node's elements, nodes in the order of the inverse. */
 template <class F>
-void TurnedFactor::forEachNode(const F& f) const
+void TurnedInverse::forEachNode(const F& f) const
 {
   const int pieces = partition_.pieces();
   forEachPiece(partition_, [&](int piece) {
@@ -263,22 +272,22 @@ void TurnedFactor::forEachNode(const F& f) const
   });
 }
 
-void TurnedFactor::turn(const Rotations& rotations)
+void TurnedInverse::turn(const Rotations& rotations)
 {
   if (!takeRotations(rotations) && turned_) return;  // linear elasticity's never turn
   turned_ = true;
   forEachNode([&](int k, const Columns& frame) {
-    Columns G = frame * transpose(columnsAt(factored_frames_.data() + COLUMNS * k));
-    const Mask& free = freeOf(held_[cholesky_.order()[k]]);
+    Columns G = frame * transpose(columnsAt(made_frames_.data() + COLUMNS * k));
+    const Mask& free = freeOf(held_[inverse_->order()[k]]);
     for (Node& column : G.c) column = only(free, column);
     columnsAt(frames_.data() + FRAME * k) = G;
     columnsAt(frames_.data() + FRAME * k + COLUMNS) = transpose(G);
   });
 }
 
-const float* TurnedFactor::solve(const Fill& fill)
+const float* TurnedInverse::solve(const Fill& fill)
 {
-  const int* order = cholesky_.order().data();
+  const int* order = inverse_->order().data();
   const auto read = [&](int begin, int end, float* b) {
     fill(order + begin, end - begin);
     const float* frame = frames_.data() + FRAME * begin + COLUMNS;
@@ -296,11 +305,11 @@ const float* TurnedFactor::solve(const Fill& fill)
     }
   };
   // By reference, so that nothing is allocated.
-  cholesky_.solve(partition_.threads(), std::ref(read), std::ref(write));
+  inverse_->solve(partition_.threads(), std::ref(read), std::ref(write));
   return left_.data();
 }
 
-void TurnedFactor::apply(const NodalField& r, NodalField& z)
+void TurnedInverse::apply(const NodalField& r, NodalField& z)
 {
   const auto fill = [&](const int* nodes, int count) {
     for (int k = 0; k < count; ++k) std::copy_n(r.data() + 4L * nodes[k], 3, right() + 4L * nodes[k]);

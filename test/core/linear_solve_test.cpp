@@ -9,7 +9,7 @@
 
 #include "bezier_fem/element_operator.h"
 #include "core/bar.h"
-#include "turned_factor.h"
+#include "turned_inverse.h"
 
 namespace bezier_fem
 {
@@ -283,11 +283,11 @@ TEST(LinearSolve, LinearElasticityFollowsWhateverChangesItsSystem)
 TEST(LinearSolve, AFactorIsRenewedWhenExcessIterationsHavePaidForIt)
 {
   const Model model = test::boxModel(test::irregularBox({1, 1, 2}, {0.4, 0.4, 1.0}), Element::QUADRATIC, STIFF);
-  TurnedFactor factor(model, 1);
+  TurnedInverse factor(model, 1, TurnedInverse::Form::FACTOR);
   const Rotations rest = restRotations(model);
   const HeldAxes held(model.num_nodes, 0);
   EXPECT_FALSE(factor.valid());
-  ASSERT_TRUE(factor.factor(rest, rest, held, 1, 4e-4));
+  ASSERT_TRUE(factor.make(rest, rest, held, 1, 4e-4));
   EXPECT_TRUE(factor.isOf(held, 1, 4e-4));
   EXPECT_FALSE(factor.isOf(held, 1, 5e-4));
   EXPECT_FALSE(factor.isOf(HeldAxes(model.num_nodes, 1), 1, 4e-4));
@@ -330,10 +330,11 @@ TEST(LinearSolve, AFactorTurnsWithTheBodyAndLeavesOutWhatIsHeld)
   {
     HeldAxes held(n, 0);
     for (int i = 0; foot && i < n; ++i) held[i] = model.rest[i].z() < 1e-9 ? i % 8 : 0;
-    TurnedFactor at_rest(model, 1), anew(model, 1);
-    ASSERT_TRUE(at_rest.factor(rest, rest, held, 1, 4e-4));
-    ASSERT_TRUE(anew.factor(turned, turned, held, 1, 4e-4));
-    const auto solve = [&](TurnedFactor& factor, float in_held) {
+    constexpr auto FACTOR = TurnedInverse::Form::FACTOR;
+    TurnedInverse at_rest(model, 1, FACTOR), anew(model, 1, FACTOR);
+    ASSERT_TRUE(at_rest.make(rest, rest, held, 1, 4e-4));
+    ASSERT_TRUE(anew.make(turned, turned, held, 1, 4e-4));
+    const auto solve = [&](TurnedInverse& factor, float in_held) {
       const float* left = factor.solve([&](const int* nodes, int count) {
         for (int k = 0; k < count; ++k)
         {
@@ -355,7 +356,7 @@ TEST(LinearSolve, AFactorTurnsWithTheBodyAndLeavesOutWhatIsHeld)
     {
       EXPECT_LT((served - expected).norm(), 1e-4 * expected.norm());
     }
-    for (TurnedFactor* factor : {&at_rest, &anew})
+    for (TurnedInverse* factor : {&at_rest, &anew})
     {
       const Eigen::MatrixXf left = solve(*factor, std::numeric_limits<float>::quiet_NaN());
       EXPECT_EQ(left, factor == &anew ? expected : served);

@@ -9,6 +9,7 @@
 #include "bezier_fem/step.h"
 #include "core/bar.h"
 #include "direct_preconditioner.h"
+#include "sparse_cholesky.h"
 
 namespace bezier_fem
 {
