@@ -27,6 +27,15 @@ class ConjugateGradient
 public:
   ConjugateGradient(const Model& model, const Partition& partition);
 
+  struct Blocks
+  {
+    bool definite;  // each, and so may the system be
+    double load2;   // m^T B^-1 m of the load m of a uniform acceleration, mean over its three directions
+  };
+  /** The inverses of any system's diagonal blocks, in the layout of inverse(). */
+  Blocks invertDiagonal(const SystemOperator& system, const Model& model, const Partition& partition,
+                        const HeldAxes& held, AlignedVector<double>& inverse);
+
   /**
    * Takes the system's diagonal.
    * @return  false where a block of it is not positive definite, and so neither is the system

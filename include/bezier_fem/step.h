@@ -96,6 +96,7 @@ struct Workspace
   std::unique_ptr<Preconditioner> preconditioner;  // beyond the diagonal blocks, since it was first wanted
   Scene::Solver::Preconditioner preconditioner_kind = Scene::Solver::Preconditioner::BLOCK_JACOBI;
   bool preconditioner_failed = false;  // not to be tried again
+  AlignedVector<double> like_inverse;  // of the diagonal blocks of K' where that only preconditions
   struct PreparedSystem
   {
     double alpha, beta, load_floor;

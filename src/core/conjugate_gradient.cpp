@@ -29,21 +29,30 @@ double ConjugateGradient::sum(const Partition& partition, const F& f)
   return sumOverNodes(partition, partial_, f);
 }
 
-bool ConjugateGradient::prepare(const SystemOperator& system, const Model& model, const Partition& partition,
-                                const HeldAxes& held, double load_floor)
+ConjugateGradient::Blocks ConjugateGradient::invertDiagonal(const SystemOperator& system, const Model& model,
+                                                            const Partition& partition, const HeldAxes& held,
+                                                            AlignedVector<double>& inverse)
 {
-  system.diagonal(inverse_);
+  inverse.resize(inverse_.size());
+  system.diagonal(inverse);
   std::atomic<bool> all_definite = true;
   // The load is M times a uniform field of ones: the integral of rho B_I.
-  const double floor2 = sum(partition, [&](int begin, int end) {
+  const double load2 = sum(partition, [&](int begin, int end) {
     bool definite = true;
     const double part =
-        kernels::table().invert_blocks(begin, end, held.data(), model.node_mass.data(), inverse_.data(), &definite);
+        kernels::table().invert_blocks(begin, end, held.data(), model.node_mass.data(), inverse.data(), &definite);
     if (!definite) all_definite = false;
     return part;
   });
-  floor_ = load_floor * std::sqrt(floor2);
-  return all_definite;
+  return {all_definite, load2};
+}
+
+bool ConjugateGradient::prepare(const SystemOperator& system, const Model& model, const Partition& partition,
+                                const HeldAxes& held, double load_floor)
+{
+  const Blocks blocks = invertDiagonal(system, model, partition, held, inverse_);
+  floor_ = load_floor * std::sqrt(blocks.load2);
+  return blocks.definite;
 }
 
 double ConjugateGradient::norm(const Partition& partition, const NodalField& r)

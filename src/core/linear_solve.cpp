@@ -42,6 +42,24 @@ void make(Kind kind, const Model& model, Workspace& w)
   }
   w.preconditioner_kind = kind;
 }
+/** A preconditioner as that of another system: it can be applied, but what it solves by itself is not that system. */
+class OfLikeSystem final : public Preconditioner
+{
+public:
+  explicit OfLikeSystem(Preconditioner* own) : own_(own) {}
+  bool prepare(const Model& model, const Rotations& rotations, const HeldAxes& held, double alpha, double beta,
+               const AlignedVector<double>& inverse) override
+  {
+    return own_->prepare(model, rotations, held, alpha, beta, inverse);
+  }
+  void forget() override { own_->forget(); }
+  void took(int iterations) override { own_->took(iterations); }
+  int patience() const override { return own_->patience(); }
+  void apply(const NodalField& r, NodalField& z) override { own_->apply(r, z); }
+
+private:
+  Preconditioner* own_;
+};
 }  // namespace
 
 const SystemOperator& prepareSystem(const Model& model, const StepSettings& settings, const Supports& supports,
@@ -62,9 +80,10 @@ const SystemOperator& prepareSystem(const Model& model, const StepSettings& sett
   return system;
 }
 
-void solveLinear(const Model& model, const StepSettings& settings, const Supports& supports, const Rotations& rotations,
-                 const SystemOperator& system, double alpha, double beta, double tolerance, int max_iterations,
-                 Serves serves, Workspace& w, StepReport& report)
+SolveReport solvePreconditioned(const Model& model, const StepSettings& settings, const Supports& supports,
+                                const Rotations& rotations, Likeness likeness, const SystemOperator& system,
+                                double alpha, double beta, double tolerance, int max_iterations, Serves serves,
+                                Workspace& w, StepReport& report)
 {
   const Kind wanted = settings.solver.preconditioner, kind = kindOf(model, wanted, serves);
   const bool possible = kind != Kind::BLOCK_JACOBI && !w.preconditioner_failed;
@@ -72,8 +91,20 @@ void solveLinear(const Model& model, const StepSettings& settings, const Support
   int iterations = 0;
   SolveReport solved;
   const auto solve = [&](Preconditioner* preconditioner, int limit) {
+    OfLikeSystem of_like(preconditioner);
+    if (preconditioner && likeness == Likeness::LIKE) preconditioner = &of_like;
     solved = w.solver.solve(system, w.partition, w.rhs, w.change, tolerance, limit, preconditioner);
     iterations += solved.iterations;
+  };
+  const auto prepare = [&] {
+    if (likeness == Likeness::SAME)
+    {
+      return w.preconditioner->prepare(model, rotations, supports.held, alpha, beta, w.solver.inverse());
+    }
+    // The smoother's largest eigenvalue is that of this diagonal.
+    const MatrixFreeSystem<Rotations> like(model, w.partition, rotations, alpha, beta);
+    w.solver.invertDiagonal(like, model, w.partition, supports.held, w.like_inverse);
+    return w.preconditioner->prepare(model, rotations, supports.held, alpha, beta, w.like_inverse);
   };
 
   const bool at_once = possible && lasting && (w.preconditioner || wanted != Kind::AUTO || kind == Kind::DIRECT);
@@ -81,15 +112,14 @@ void solveLinear(const Model& model, const StepSettings& settings, const Support
   {
     solve(nullptr, possible ? std::min(lasting ? PATIENCE : PATIENCE_ONCE, max_iterations) : max_iterations);
   }
-  if (at_once || (possible && !solved.converged && iterations < max_iterations))
+  if (at_once || (possible && !solved.converged && !solved.indefinite && iterations < max_iterations))
   {
     make(kind, model, w);
     report.preconditioner = kind;
     bool again = true;
     while (again)
     {
-      w.preconditioner_failed =
-          !w.preconditioner->prepare(model, rotations, supports.held, alpha, beta, w.solver.inverse());
+      w.preconditioner_failed = !prepare();
       if (w.preconditioner_failed)
       {
         report.preconditioner = Kind::BLOCK_JACOBI;
@@ -103,6 +133,16 @@ void solveLinear(const Model& model, const StepSettings& settings, const Support
     }
   }
   report.iterations += iterations;
+  solved.iterations = iterations;
+  return solved;
+}
+
+void solveLinear(const Model& model, const StepSettings& settings, const Supports& supports, const Rotations& rotations,
+                 const SystemOperator& system, double alpha, double beta, double tolerance, int max_iterations,
+                 Serves serves, Workspace& w, StepReport& report)
+{
+  const SolveReport solved = solvePreconditioned(model, settings, supports, rotations, Likeness::SAME, system, alpha,
+                                                 beta, tolerance, max_iterations, serves, w, report);
   report.residual = std::max(report.residual, solved.residual);
   report.converged = report.converged && solved.converged;
 }

@@ -20,12 +20,28 @@ const SystemOperator& prepareSystem(const Model& model, const StepSettings& sett
                                     const MatrixFreeSystem<Rotations>& matrix_free, const Rotations& rotations,
                                     double alpha, double beta, double load_floor, Workspace& workspace);
 
+/** What the matrix alpha M + beta K' of some rotations is to a system. */
+enum class Likeness
+{
+  SAME,
+  LIKE  // near enough for what is made of it to precondition the system
+};
+
 /**
- * Solves (alpha M + beta K') u = workspace.rhs for u = workspace.change, which is also the start, with the
- * preconditioner that the settings ask for; workspace.solver is prepared for the system. `auto` begins with the
+ * Solves a system for workspace.change, which is also the start, of workspace.rhs, with the preconditioner that the
+ * settings ask for, made of alpha M + beta K'; workspace.solver is prepared for the system. `auto` begins with the
  * diagonal blocks and goes on with multigrid where these take long, from then on at once; systems that always stay the
  * same it factors, unless they are large.
- * @param report  its iterations, residual, converged and preconditioner are brought up to date
+ * @param report  its iterations and preconditioner are brought up to date
+ */
+SolveReport solvePreconditioned(const Model& model, const StepSettings& settings, const Supports& supports,
+                                const Rotations& rotations, Likeness likeness, const SystemOperator& system,
+                                double alpha, double beta, double tolerance, int max_iterations, Serves serves,
+                                Workspace& workspace, StepReport& report);
+
+/**
+ * Solves (alpha M + beta K') u = workspace.rhs for u = workspace.change in this way.
+ * @param report  its residual and converged are brought up to date too
  */
 void solveLinear(const Model& model, const StepSettings& settings, const Supports& supports, const Rotations& rotations,
                  const SystemOperator& system, double alpha, double beta, double tolerance, int max_iterations,

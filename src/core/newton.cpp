@@ -19,19 +19,25 @@ NewtonMemory::NewtonMemory(const Model& model)
       first(model.num_nodes),
       bend(model.num_nodes),
       start(model.num_nodes),
-      x(model.num_nodes)
+      x(model.num_nodes),
+      rotations(restRotations(model)),
+      before(rotations),
+      turned(rotations.flags.size())
 {
 }
 
-GreenNewton::GreenNewton(const Model& model, const Supports& supports, const Rotations& rest, double h, double alpha,
-                         double beta, double load_floor, NodalField& x, NodalField& v, Workspace& workspace)
+GreenNewton::GreenNewton(const Model& model, const StepSettings& settings, const Supports& supports,
+                         const Rotations& rest, double h, double alpha, double beta, double load_floor, Serves serves,
+                         NodalField& x, NodalField& v, Workspace& workspace)
     : model_(model),
+      settings_(settings),
       supports_(supports),
       rest_(rest),
       h_(h),
       alpha_(alpha),
       beta_(beta),
       load_floor_(load_floor),
+      serves_(serves),
       x_(x),
       v_(v),
       w_(workspace),
@@ -88,8 +94,10 @@ bool GreenNewton::solve(double forcing, int max_iterations, StepReport& report)
   w_.change.setZero();
   // Relative to the gradient also where that is below the solver's floor.
   const double part = w_.solver.relativeNorm(w_.partition, m_.gradient, m_.gradient);
-  const SolveReport solved = w_.solver.solve(*system_, w_.partition, w_.rhs, w_.change, forcing * part, max_iterations);
-  report.iterations += solved.iterations;
+  std::swap(m_.rotations, m_.before);
+  updateRotations(model_, w_.partition, x_, m_.before, m_.rotations, m_.turned);
+  solvePreconditioned(model_, settings_, supports_, m_.rotations, Likeness::LIKE, *system_, alpha_, h_ * h_ + beta_,
+                      forcing * part, max_iterations, serves_, w_, report);
   return m_.gradient.matrix().cwiseProduct(w_.change.matrix()).sum() < 0;
 }
 
@@ -175,7 +183,8 @@ void newtonStage(const Model& model, const StepSettings& settings, const Support
     }
   }
 
-  GreenNewton newton(model, supports, state.rotations, h, 1 + h * damp_m, h * damp_k, 1e-3 * h, state.x, state.v, w);
+  GreenNewton newton(model, settings, supports, state.rotations, h, 1 + h * damp_m, h * damp_k, 1e-3 * h,
+                     stage.lasting ? Serves::SAME_COEFFICIENTS : Serves::ONCE, state.x, state.v, w);
   newton.quadraticProduct(state.v, w.force);
   m.quadratic.matrix() += w.force.matrix();
   newton.start();

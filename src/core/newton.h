@@ -3,6 +3,7 @@
 #include "bezier_fem/green_strain.h"
 #include "bezier_fem/step.h"
 #include "bezier_fem/system_operator.h"
+#include "linear_solve.h"
 
 namespace bezier_fem
 {
@@ -19,6 +20,9 @@ struct NewtonMemory
   NodalField bend;       // how `quadratic` changes along a direction
   NodalField start;      // v that a stage starts from
   NodalField x;          // positions that a line search starts from
+  // Of the iterate, and scratch: what preconditions is K' of these, which knows of neither the strain nor its stress.
+  Rotations rotations, before;
+  AlignedVector<double> turned;
 };
 
 /**
@@ -28,13 +32,17 @@ struct NewtonMemory
  * conjugate gradients end early, and what they have reached still leads downhill (Nocedal and Wright 2006, algorithm
  * 7.1). If they have reached nothing, the projected tangent takes over: it always leads downhill, but is stiffer than
  * the body where this is compressed, the more so the more slender it is, and takes several times as many rounds.
+ *
+ * What preconditions conjugate gradients beyond the diagonal blocks is made of the co-rotated alpha M + beta K' of the
+ * iterate: for small strains the same, and never the result wrong.
  */
 class GreenNewton
 {
 public:
   /** Keeps references to its arguments; K_0 is the damping tangent of workspace.newton. */
-  GreenNewton(const Model& model, const Supports& supports, const Rotations& rest, double h, double alpha, double beta,
-              double load_floor, NodalField& x, NodalField& v, Workspace& workspace);
+  GreenNewton(const Model& model, const StepSettings& settings, const Supports& supports, const Rotations& rest,
+              double h, double alpha, double beta, double load_floor, Serves serves, NodalField& x, NodalField& v,
+              Workspace& workspace);
 
   /** out = (alpha M + beta K_0) u */
   void quadraticProduct(const NodalField& u, NodalField& out) const;
@@ -57,9 +65,11 @@ private:
   bool search(const NodalField& direction, int trials);
 
   const Model& model_;
+  const StepSettings& settings_;
   const Supports& supports_;
   const Rotations& rest_;
   const double h_, alpha_, beta_, load_floor_;
+  const Serves serves_;
   NodalField &x_, &v_;
   Workspace& w_;
   NewtonMemory& m_;

@@ -69,7 +69,8 @@ StepReport greenEquilibrium(const Model& model, const StepSettings& settings, co
   NewtonMemory& m = *w.newton;
   // The sum that is minimised: U(x_0 + v) - f_ext . v, with a pressure's force that of the start of each round.
   state.v.setZero();
-  GreenNewton newton(model, supports, state.rotations, 1, 0, 0, 0, state.x, state.v, w);
+  GreenNewton newton(model, settings, supports, state.rotations, 1, 0, 0, 0, Serves::SAME_COEFFICIENTS, state.x,
+                     state.v, w);
   // Pressure turns with the faces, which takes back much of what the stress that it causes does to the stiffness. The
   // tangent that knows of the one and not of the other would have each round turn the next one's loads too far.
   const bool pressed =

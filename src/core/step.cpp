@@ -428,6 +428,7 @@ void Workspace::forgetHistory()
 {
   history = 0;
   last_iterations = 0;
+  newton.reset();
   preconditioner.reset();
   preconditioner_failed = false;
   prepared.reset();

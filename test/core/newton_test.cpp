@@ -270,6 +270,95 @@ TEST_P(Newton, SurvivesInvertedStartsAndLongSteps)
   }
 }
 
+using Kind = Scene::Solver::Preconditioner;
+constexpr Kind KINDS[] = {Kind::AUTO, Kind::PMULTIGRID, Kind::DIRECT};
+
+TEST_P(Newton, EveryPreconditionerLeadsToTheSameInFarFewerIterations)
+{
+  // Bent until its top is level with its foot, and swinging; squeezed; stretched by a half.
+  model = test::boxModel(test::irregularBox({3, 3, 8}, {0.2, 0.2, 1.0}), GetParam());
+  no_force = NodalField(model.num_nodes);
+  const Supports supports = test::holdFoot(model);
+  for (const Vector3d& gravity : {Vector3d(30, 0, 0), Vector3d(0, 0, -40), Vector3d(0, 3, 300)})
+  {
+    const auto run = [&](Kind kind, int& iterations, Kind& used) {
+      StepSettings s = settings(1e-7);
+      s.gravity = gravity;
+      s.solver.preconditioner = kind;
+      Workspace workspace(model, s, 1);
+      State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
+      iterations = 0;
+      for (int k = 0; k < 20; ++k)
+      {
+        const StepReport report = implicitEulerStep(model, s, supports, {}, no_force, state, workspace);
+        EXPECT_TRUE(report.converged);
+        iterations += report.iterations;
+        used = report.preconditioner;
+      }
+      return state.x;
+    };
+    int plain = 0, iterations = 0;
+    Kind used = Kind::AUTO;
+    const NodalField expected = run(Kind::BLOCK_JACOBI, plain, used);
+    EXPECT_EQ(used, Kind::BLOCK_JACOBI);
+    EXPECT_GT((expected.matrix() - model.rest.matrix()).colwise().norm().maxCoeff(), 0.05);
+    for (const Kind kind : KINDS)
+    {
+      const NodalField x = run(kind, iterations, used);
+      EXPECT_EQ(used, kind == Kind::AUTO ? Kind::PMULTIGRID : kind);
+      EXPECT_LT((x.matrix() - expected.matrix()).colwise().norm().maxCoeff(), 1e-5);
+      EXPECT_LT(3 * iterations, plain) << gravity.transpose();
+    }
+  }
+}
+
+TEST_P(Newton, EveryPreconditionerLeadsToTheSameEquilibrium)
+{
+  model = test::boxModel(test::irregularBox({3, 3, 8}, {0.2, 0.2, 1.0}), GetParam());
+  no_force = NodalField(model.num_nodes);
+  const Supports supports = test::holdFoot(model);
+  for (const double poisson : {0.3, 0.49})
+  {
+    setMaterials(model, std::vector<Material>(model.num_tets, {2e5, poisson, 500}));
+    const auto solve = [&](Kind kind, int& iterations) {
+      StepSettings s = settings(1e-8);
+      s.gravity = {30, 0, 5};
+      s.solver.preconditioner = kind;
+      Workspace workspace(model, s, 1);
+      State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
+      const StepReport report = solveStatic(model, s, supports, {}, no_force, state, workspace, {});
+      EXPECT_TRUE(report.converged);
+      iterations = report.iterations;
+      return state.x;
+    };
+    int plain = 0, iterations = 0;
+    const NodalField expected = solve(Kind::BLOCK_JACOBI, plain);
+    EXPECT_GT((expected.matrix() - model.rest.matrix()).colwise().norm().maxCoeff(), 0.3);
+    for (const Kind kind : KINDS)
+    {
+      EXPECT_LT((solve(kind, iterations).matrix() - expected.matrix()).colwise().norm().maxCoeff(), 1e-5);
+      EXPECT_LT(3 * iterations, plain) << poisson;
+    }
+  }
+}
+
+TEST_P(Newton, MultigridStepsAreTheSameAfterAResetAndForAnyNumberOfThreads)
+{
+  StepSettings s = settings(1e-6);
+  s.gravity = {30, 0, 0};
+  s.solver.preconditioner = Kind::PMULTIGRID;
+  const Supports supports = test::holdFoot(model);
+  Workspace one(model, s, 1), three(model, s, 3);
+  const auto run = [&](Workspace& workspace) {
+    State state = startState(model, s, supports, model.rest, Vector3d::Zero(), workspace);
+    for (int k = 0; k < 10; ++k) implicitEulerStep(model, s, supports, {}, no_force, state, workspace);
+    return state.x;
+  };
+  const NodalField first = run(one);
+  EXPECT_EQ((run(one).matrix() - first.matrix()).cwiseAbs().maxCoeff(), 0);
+  EXPECT_EQ((run(three).matrix() - first.matrix()).cwiseAbs().maxCoeff(), 0);
+}
+
 TEST_P(Newton, ThreadsChangeNothingButRounding)
 {
   const StepSettings s = settings(1e-9);
