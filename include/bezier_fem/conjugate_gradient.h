@@ -51,9 +51,10 @@ public:
    * iterative solution of Ax = b with successive right-hand sides"). To be followed by solve() from that u.
    * @param system  that of the last prepare()
    * @param count   of the past solutions to use: 0 to 3
+   * @param rough   prepared for the same system, to make its products in single precision, if it can; may be null
    */
   void start(const SystemOperator& system, const Partition& partition, const NodalField& b,
-             const std::array<NodalField, 3>& past, int count, NodalField& u);
+             const std::array<NodalField, 3>& past, int count, NodalField& u, Preconditioner* rough = nullptr);
 
   /**
    * @param system  that of the last prepare()
@@ -79,9 +80,10 @@ private:
   double floor_ = 0;
   AlignedVector<double> inverse_;
   NodalField r_, z_, p_, q_;
-  NodalField extrapolated_;  // of start()
+  NodalField extrapolated_, rounded_;  // of start()
   std::array<NodalField, 2> images_;
-  bool product_known_ = false;   // q_ is A u of what start() has left
+  bool product_known_ = false;   // q_ is A u of what start() has left,
+  bool product_rough_ = false;   // but in single precision
   std::vector<double> partial_;  // a number a chunk of nodes
 
   template <class F>

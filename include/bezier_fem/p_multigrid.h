@@ -36,6 +36,8 @@ public:
   void took(int iterations) override;
   int patience() const override { return std::numeric_limits<int>::max(); }  // an old factor costs few iterations
   void apply(const NodalField& r, NodalField& z) override;
+  bool hasProduct() const override { return quadratic_ != nullptr && one_rotation_; }
+  void product(const NodalField& u, NodalField& rounded, NodalField& out) override;
   bool improves() const override { return quadratic_ != nullptr; }
   int improve(const NodalField& r, double target, int max_iterations, NodalField& u) override;
 
@@ -53,6 +55,7 @@ private:
   std::unique_ptr<TurnedInverse> inverse_;
   HeldAxes held_vertices_;
   std::unique_ptr<QuadraticLevel> quadratic_;  // null for linear elements
+  bool one_rotation_ = true;                   // an element; of several, there is only the mean in single precision
 };
 
 }  // namespace bezier_fem

@@ -40,6 +40,15 @@ public:
   /** z = about A^-1 r on the free components, 0 on the held ones. */
   virtual void apply(const NodalField& r, NodalField& z) = 0;
 
+  /** Whether product() can be asked. */
+  virtual bool hasProduct() const { return false; }
+  /**
+   * `rounded` = u in single precision, out = A `rounded` too, which takes a third of the time. Elements see differences
+   * of it, which are exact: so errors are relative to their stresses, not to the motion as a whole.
+   * @param rounded  may be u
+   */
+  virtual void product(const NodalField& /*u*/, NodalField& /*rounded*/, NodalField& /*out*/) {}
+
   /** Whether improve() can be asked. */
   virtual bool improves() const { return false; }
   /**

@@ -18,6 +18,7 @@ ConjugateGradient::ConjugateGradient(const Model& model, const Partition& partit
       p_(model.num_nodes),
       q_(model.num_nodes),
       extrapolated_(model.num_nodes),
+      rounded_(model.num_nodes),
       partial_(partition.numChunks())
 {
   images_.fill(NodalField(model.num_nodes));
@@ -68,14 +69,16 @@ double ConjugateGradient::relativeNorm(const Partition& partition, const NodalFi
 }
 
 void ConjugateGradient::start(const SystemOperator& system, const Partition& partition, const NodalField& b,
-                              const std::array<NodalField, 3>& past, int count, NodalField& u)
+                              const std::array<NodalField, 3>& past, int count, NodalField& u,
+                              Preconditioner* rough)
 {
   u.setZero();
   product_known_ = false;
+  product_rough_ = rough && rough->hasProduct();
   if (count == 0) return;
   // The last one, and the extrapolation from all: a third direction saves less than its product costs.
   const int directions = std::min(count, 2);
-  const std::array<const NodalField*, 2> basis{&past[0], &extrapolated_};
+  const std::array<const NodalField*, 2> basis{product_rough_ ? &rounded_ : &past[0], &extrapolated_};
   forEachChunk(partition, [&](int first, int nodes) {
     const auto of = [&](int k) { return past[k].columns(first, nodes); };
     if (count == 2) extrapolated_.columns(first, nodes) = 2 * of(0) - of(1);
@@ -88,7 +91,15 @@ void ConjugateGradient::start(const SystemOperator& system, const Partition& par
   };
   for (int k = 0; k < directions; ++k)
   {
-    system.product(*basis[k], images_[k]);
+    if (product_rough_)
+    {
+      const std::array<NodalField*, 2> rounded{&rounded_, &extrapolated_};
+      rough->product(k == 0 ? past[0] : extrapolated_, *rounded[k], images_[k]);
+    }
+    else
+    {
+      system.product(*basis[k], images_[k]);
+    }
     work[k] = dot(*basis[k], b);
     for (int j = 0; j <= k; ++j) gram(j, k) = gram(k, j) = dot(*basis[j], images_[k]);
   }
@@ -126,6 +137,7 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     return report;
   }
   bool may_restart = !product_known_;  // start()'s is not
+  bool rough = product_known_ && product_rough_;
   double residual_before = std::numeric_limits<double>::infinity();
   while (true)
   {
@@ -144,6 +156,12 @@ SolveReport ConjugateGradient::solve(const SystemOperator& system, const Partiti
     may_restart = false;
     report.residual = std::sqrt(norm2) / scale;
     report.converged = report.residual <= tolerance;
+    if (rough)
+    {
+      // Not what is reported, which is of double precision.
+      rough = false;
+      if (report.converged || report.iterations >= max_iterations) continue;
+    }
     if (report.converged || report.iterations >= max_iterations || !std::isfinite(norm2)) return report;
     const double target = tolerance * scale;
     if (preconditioner && preconditioner->improves() && report.residual < 0.5 * residual_before)

@@ -83,7 +83,7 @@ const SystemOperator& prepareSystem(const Model& model, const StepSettings& sett
 SolveReport solvePreconditioned(const Model& model, const StepSettings& settings, const Supports& supports,
                                 const Rotations& rotations, Likeness likeness, const SystemOperator& system,
                                 double alpha, double beta, double tolerance, int max_iterations, Serves serves,
-                                Workspace& w, StepReport& report)
+                                const Start& start, Workspace& w, StepReport& report)
 {
   const Kind wanted = settings.solver.preconditioner, kind = kindOf(model, wanted, serves);
   const bool possible = kind != Kind::BLOCK_JACOBI && !w.preconditioner_failed;
@@ -107,9 +107,12 @@ SolveReport solvePreconditioned(const Model& model, const StepSettings& settings
     return w.preconditioner->prepare(model, rotations, supports.held, alpha, beta, w.like_inverse);
   };
 
+  bool started = false;
   const bool at_once = possible && lasting && (w.preconditioner || wanted != Kind::AUTO || kind == Kind::DIRECT);
   if (!at_once)
   {
+    started = true;
+    start(nullptr);
     solve(nullptr, possible ? std::min(lasting ? PATIENCE : PATIENCE_ONCE, max_iterations) : max_iterations);
   }
   if (at_once || (possible && !solved.converged && !solved.indefinite && iterations < max_iterations))
@@ -120,6 +123,11 @@ SolveReport solvePreconditioned(const Model& model, const StepSettings& settings
     while (again)
     {
       w.preconditioner_failed = !prepare();
+      if (!started)
+      {
+        started = true;
+        start(w.preconditioner_failed || likeness == Likeness::LIKE ? nullptr : w.preconditioner.get());
+      }
       if (w.preconditioner_failed)
       {
         report.preconditioner = Kind::BLOCK_JACOBI;
@@ -139,10 +147,10 @@ SolveReport solvePreconditioned(const Model& model, const StepSettings& settings
 
 void solveLinear(const Model& model, const StepSettings& settings, const Supports& supports, const Rotations& rotations,
                  const SystemOperator& system, double alpha, double beta, double tolerance, int max_iterations,
-                 Serves serves, Workspace& w, StepReport& report)
+                 Serves serves, const Start& start, Workspace& w, StepReport& report)
 {
   const SolveReport solved = solvePreconditioned(model, settings, supports, rotations, Likeness::SAME, system, alpha,
-                                                 beta, tolerance, max_iterations, serves, w, report);
+                                                 beta, tolerance, max_iterations, serves, start, w, report);
   report.residual = std::max(report.residual, solved.residual);
   report.converged = report.converged && solved.converged;
 }

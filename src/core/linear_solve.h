@@ -1,5 +1,8 @@
 #pragma once
 
+#include <functional>
+
+#include "bezier_fem/preconditioner.h"
 #include "bezier_fem/step.h"
 
 namespace bezier_fem
@@ -20,6 +23,8 @@ const SystemOperator& prepareSystem(const Model& model, const StepSettings& sett
                                     const MatrixFreeSystem<Rotations>& matrix_free, const Rotations& rotations,
                                     double alpha, double beta, double load_floor, Workspace& workspace);
 
+using Start = std::function<void(Preconditioner*)>;
+
 /** What the matrix alpha M + beta K' of some rotations is to a system. */
 enum class Likeness
 {
@@ -28,16 +33,17 @@ enum class Likeness
 };
 
 /**
- * Solves a system for workspace.change, which is also the start, of workspace.rhs, with the preconditioner that the
- * settings ask for, made of alpha M + beta K'; workspace.solver is prepared for the system. `auto` begins with the
- * diagonal blocks and goes on with multigrid where these take long, from then on at once; systems that always stay the
- * same it factors, unless they are large.
+ * Solves a system for workspace.change, of workspace.rhs, with the preconditioner that the settings ask for, made of
+ * alpha M + beta K'; workspace.solver is prepared for the system. `auto` begins with the diagonal blocks and goes on with
+ * multigrid where these take long, from then on at once; systems that always stay the same it factors, unless they are
+ * large.
+ * @param start   sets workspace.change to begin with; is given a preconditioner of the same system, if there is one yet
  * @param report  its iterations and preconditioner are brought up to date
  */
 SolveReport solvePreconditioned(const Model& model, const StepSettings& settings, const Supports& supports,
                                 const Rotations& rotations, Likeness likeness, const SystemOperator& system,
                                 double alpha, double beta, double tolerance, int max_iterations, Serves serves,
-                                Workspace& workspace, StepReport& report);
+                                const Start& start, Workspace& workspace, StepReport& report);
 
 /**
  * Solves (alpha M + beta K') u = workspace.rhs for u = workspace.change in this way.
@@ -45,6 +51,6 @@ SolveReport solvePreconditioned(const Model& model, const StepSettings& settings
  */
 void solveLinear(const Model& model, const StepSettings& settings, const Supports& supports, const Rotations& rotations,
                  const SystemOperator& system, double alpha, double beta, double tolerance, int max_iterations,
-                 Serves serves, Workspace& workspace, StepReport& report);
+                 Serves serves, const Start& start, Workspace& workspace, StepReport& report);
 
 }  // namespace bezier_fem

@@ -144,6 +144,23 @@ public:
     });
   }
 
+  /** Preconditioner::product() */
+  void roundedProduct(const NodalField& u, NodalField& rounded, NodalField& out)
+  {
+    const auto floats = [](AlignedVector<float>& field, int first, int nodes) {
+      return Eigen::Map<Eigen::Matrix<float, 4, Eigen::Dynamic>>(field.data() + 4L * first, 4, nodes);
+    };
+    forEachChunk(partition_, [&](int first, int nodes) {
+      floats(search, first, nodes) = u.columns(first, nodes).cast<float>();
+      rounded.columns(first, nodes) = floats(search, first, nodes).cast<double>();
+    });
+    multiply(search);
+    sumProduct();
+    forEachChunk(partition_, [&](int first, int nodes) {
+      out.columns(first, nodes) = floats(product, first, nodes).cast<double>();
+    });
+  }
+
   /** The largest eigenvalue of B^-1 A, from below. */
   void estimateLargest(const std::vector<std::uint8_t>& held)
   {
@@ -404,6 +421,7 @@ void PMultigrid::took(int iterations)
 bool PMultigrid::prepare(const Model& model, const Rotations& rotations, const HeldAxes& held, double alpha,
                          double beta, const AlignedVector<double>& inverse)
 {
+  one_rotation_ = rotations.points == 1;
   if (quadratic_) quadratic_->take(rotations, alpha, beta, inverse);
   for (std::size_t k = 0; k < node_of_vertex_.size(); ++k) held_vertices_[k] = held[node_of_vertex_[k]];
   const bool same = inverse_->isOf(held_vertices_, alpha, beta);
@@ -469,6 +487,11 @@ void PMultigrid::apply(const NodalField& r, NodalField& z)
   const std::ptrdiff_t numbers = 4L * z.size();
   Eigen::Map<Eigen::VectorXd>(z.data(), numbers) =
       scale * Eigen::Map<const Eigen::VectorXf>(quadratic_->correction.data(), numbers).cast<double>();
+}
+
+void PMultigrid::product(const NodalField& u, NodalField& rounded, NodalField& out)
+{
+  quadratic_->roundedProduct(u, rounded, out);
 }
 
 int PMultigrid::improve(const NodalField& r, double target, int max_iterations, NodalField& u)

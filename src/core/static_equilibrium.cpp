@@ -142,7 +142,7 @@ StepReport solveStatic(const Model& model, const StepSettings& settings, const S
     w.solver.prepare(system, model, w.partition, supports.held, 0);
     w.change.setZero();
     solveLinear(model, settings, supports, state.rotations, system, 0, 1, round_tolerance,
-                100 * settings.solver.max_iterations, Serves::SAME_COEFFICIENTS, w, report);
+                100 * settings.solver.max_iterations, Serves::SAME_COEFFICIENTS, [](Preconditioner*) {}, w, report);
     // A round turns the body too far for the factor to serve again.
     if (w.preconditioner && !linear) w.preconditioner->forget();
 

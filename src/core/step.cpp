@@ -334,21 +334,23 @@ private:
     // The nearest start costs as much as two iterations with the diagonal blocks, which is what it saves where there
     // are few.
     constexpr int FEW = 20;
-    if (w_.preconditioner || w_.last_iterations > FEW)
-    {
-      w_.solver.start(system, w_.partition, w_.rhs, w_.past, std::min(stage.past, 3), w_.change);
-    }
-    else if (!extrapolate(stage, w_))
-    {
-      w_.change.setZero();
-    }
+    const auto start = [&](Preconditioner* rough) {
+      if (w_.preconditioner || w_.last_iterations > FEW)
+      {
+        w_.solver.start(system, w_.partition, w_.rhs, w_.past, std::min(stage.past, 3), w_.change, rough);
+      }
+      else if (!extrapolate(stage, w_))
+      {
+        w_.change.setZero();
+      }
+    };
     const int before = report.iterations;
     solveLinear(model_, settings_, supports_, rotations, system, alpha, beta, settings_.solver.tolerance,
                 std::max(1, settings_.solver.max_iterations),
                 !stage.lasting                               ? Serves::ONCE
                 : settings_.elasticity == Elasticity::LINEAR ? Serves::ALWAYS
                                                              : Serves::SAME_COEFFICIENTS,
-                w_, report);
+                std::ref(start), w_, report);
     w_.last_iterations = report.iterations - before;
     std::atomic<bool> finite = true;
     forEachChunk(w_.partition, [&](int first, int count) {
