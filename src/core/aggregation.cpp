@@ -298,6 +298,11 @@ void Aggregation::makeModes(const HeldAxes& held, const float* frames)
     {
       Eigen::Map<Eigen::Matrix<float, 4, MODES>> to(modes_.data() + 4L * MODES * (begin + k));
       to.topRows<3>() = modes.middleRows<3>(3L * k).cast<float>();
+      // The others' rounding
+      for (int axis = 0; axis < 3; ++axis)
+      {
+        if (held[order_[begin + k]] >> axis & 1) to.row(axis).setZero();
+      }
     }
   }
 }
