@@ -548,7 +548,7 @@ TEST(Aggregation, ATurnedBodyIsAsTheOneAtRest)
     return result;
   };
   const Matrix3d Q = Eigen::AngleAxisd(2, Vector3d(1, 2, 3).normalized()).toRotationMatrix();
-  const auto whole = [&](const Vector3d& /*X*/) { return Q; };
+  const auto whole = [&](const Vector3d& /*X*/) -> const Matrix3d& { return Q; };
   const auto bent = [](const Vector3d& X) {
     return Eigen::AngleAxisd(2 * X.z(), Vector3d(1, 0.5, 0.2).normalized()).toRotationMatrix();
   };
