@@ -31,6 +31,12 @@ constexpr double MARGIN = 1.1;
  * (Braess 1995, "Towards algebraic multigrid for elliptic problems of second order"). Below 2 the cycle converges.
  */
 constexpr float OVERCORRECTION = 1.5F;
+/**
+ * In the aggregates' system the nodes' own blocks are larger by this. Where a rigid motion or bending of the body meets
+ * hardly any resistance beside what parts of it do, what single precision leaves of its residual is rounding, and the
+ * correction by it would be without bounds: the cycle would not be positive any more.
+ */
+constexpr double ROUNDING = 3e-7;
 
 constexpr int NONE = -1;
 constexpr int GROUP = kernels::NODE_GROUP;
@@ -298,6 +304,11 @@ void Aggregation::makeModes(const HeldAxes& held, const float* frames)
     {
       Eigen::Map<Eigen::Matrix<float, 4, MODES>> to(modes_.data() + 4L * MODES * (begin + k));
       to.topRows<3>() = modes.middleRows<3>(3L * k).cast<float>();
+      // The others' rounding
+      for (int axis = 0; axis < 3; ++axis)
+      {
+        if (held[order_[begin + k]] >> axis & 1) to.row(axis).setZero();
+      }
     }
   }
 }
@@ -320,7 +331,9 @@ void Aggregation::makeCoarse(const AssembledMatrix& matrix)
     {
       const int other = position_[matrix.column()[slot]];
       const int a = 2 * aggregate_of_[k], b = 2 * aggregate_of_[other];
-      const Eigen::Matrix<double, MODES, MODES> part = own * Block(matrix.blocks().data() + 9L * slot) * modesAt(other);
+      const double share = other == k ? 1 + ROUNDING : 1;
+      const Eigen::Matrix<double, MODES, MODES> part =
+          own * (share * Block(matrix.blocks().data() + 9L * slot)) * modesAt(other);
       const int place[2] = {coarse_.slot(a, b), coarse_.slot(a + 1, b)};
       for (int i = 0; i < 2; ++i)
       {

@@ -7,8 +7,10 @@
 
 #include <Eigen/Dense>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <numeric>
+#include <random>
 
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/green_strain.h"
@@ -664,6 +666,191 @@ TEST_P(SingleKernels, VectorOperationsAreTheirFormulas)
       return 0;
     });
     expectNear(own_p, search);
+  }
+}
+
+/** Rows of 3x3 blocks in groups of nodes, as an assembled matrix has them: of other lengths, some of none. */
+class RowKernels : public testing::TestWithParam<int>
+{
+protected:
+  using Floats = AlignedVector<float>;
+  static constexpr int GROUP = kernels::INVERSE_GROUP;
+  static constexpr float UNKNOWN = std::numeric_limits<float>::quiet_NaN();
+  struct Block
+  {
+    int row, column;
+    Eigen::Matrix3f matrix;
+  };
+
+  const int n = GetParam();
+  const int padded = (n + GROUP - 1) / GROUP * GROUP;
+  std::mt19937 random{5};
+  std::vector<Block> blocks;
+  std::vector<int> begin{0}, columns;
+  Floats numbers;
+
+  RowKernels()
+  {
+    std::vector<std::vector<Block>> rows(padded);
+    for (int i = 0; i < n; ++i)
+    {
+      for (int count = static_cast<int>(random() % 9); count > 0; --count)
+      {
+        rows[i].push_back({i, static_cast<int>(random() % n), Eigen::Matrix3f::NullaryExpr([&] { return number(); })});
+      }
+      blocks.insert(blocks.end(), rows[i].begin(), rows[i].end());
+    }
+    for (int first = 0; first < padded; first += GROUP)
+    {
+      std::size_t most = 0;
+      for (int k = 0; k < GROUP; ++k) most = std::max(most, rows[first + k].size());
+      for (std::size_t step = 0; step < most; ++step)
+      {
+        const std::size_t from = numbers.size();
+        numbers.resize(from + 12 * GROUP, 0.0f);
+        for (int k = 0; k < GROUP; ++k)
+        {
+          const std::vector<Block>& row = rows[first + k];
+          columns.push_back(step < row.size() ? row[step].column : first);
+          if (step < row.size()) put(row[step].matrix, k, numbers.data() + from);
+        }
+      }
+      begin.push_back(begin.back() + static_cast<int>(most));
+    }
+  }
+
+  float number() { return std::uniform_real_distribution<float>(-1, 1)(random); }
+  static void put(const Eigen::Matrix3f& m, int k, float* group)
+  {
+    for (int c = 0; c < 9; ++c) group[(c / 3 * GROUP + k) * 4 + c % 3] = m(c % 3, c / 3);
+  }
+  /** 4 a node; beyond the last node zero. @param fourth  what x, y, z are followed by */
+  Floats field(float fourth = 0)
+  {
+    Floats result(4 * static_cast<std::size_t>(padded), 0.0f);
+    for (int i = 0; i < n; ++i)
+    {
+      for (int axis = 0; axis < 3; ++axis) result[4 * i + axis] = number();
+      result[4 * i + 3] = fourth;
+    }
+    return result;
+  }
+  static Eigen::Map<const Eigen::Vector3f> at(const Floats& field, int i)
+  {
+    return Eigen::Map<const Eigen::Vector3f>(field.data() + 4L * i);
+  }
+  Floats unknown() const { return Floats(4 * static_cast<std::size_t>(padded), UNKNOWN); }
+
+  /** The ranges of whole groups that there are: all, and from each on to the one in the middle and to the end. */
+  std::vector<std::pair<int, int>> ranges() const
+  {
+    std::vector<std::pair<int, int>> result{{0, padded}, {0, 0}};
+    for (const int from : {GROUP, padded / GROUP / 2 * GROUP, padded - GROUP})
+    {
+      for (const int to : {padded / GROUP * 3 / 4 * GROUP, padded})
+      {
+        if (from < to) result.emplace_back(from, to);
+      }
+    }
+    return result;
+  }
+  /** What lies outside a range is as it was; inside, three numbers a node are near, and the fourth is zero. */
+  void expectOnly(const std::pair<int, int>& range, const Floats& found, const Floats& before,
+                  const Eigen::Matrix3Xd& expected, const Eigen::Matrix3Xd& sizes) const
+  {
+    for (int i = 0; i < padded; ++i)
+    {
+      const bool inside = i >= range.first && i < range.second;
+      for (int axis = 0; axis < 4; ++axis)
+      {
+        const float value = found[4 * i + axis];
+        if (!inside)
+        {
+          ASSERT_EQ(std::memcmp(&value, &before[4 * i + axis], sizeof value), 0) << "node " << i;
+        }
+        else if (axis == 3 || i >= n)
+        {
+          ASSERT_EQ(value, 0) << "node " << i;
+        }
+        else
+        {
+          ASSERT_NEAR(value, expected(axis, i), SINGLE * sizes(axis, i)) << "node " << i;
+        }
+      }
+    }
+  }
+};
+INSTANTIATE_TEST_SUITE_P(Rows, RowKernels, testing::Values(1, 2, 3, 4, 5, 8, 37, 131),
+                         testing::PrintToStringParamName());
+
+TEST_P(RowKernels, ResidualIsThatOfDoubles)
+{
+  const Floats b = field(), x = field(UNKNOWN);
+  Eigen::Matrix3Xd expected(3, n), sizes(3, n);
+  for (int i = 0; i < n; ++i) expected.col(i) = at(b, i).cast<double>();
+  sizes = expected.cwiseAbs();
+  for (const Block& block : blocks)
+  {
+    const Eigen::Matrix3d m = block.matrix.cast<double>();
+    const Vector3d v = at(x, block.column).cast<double>();
+    expected.col(block.row) -= m * v;
+    sizes.col(block.row) += m.cwiseAbs() * v.cwiseAbs();
+  }
+  const kernels::SingleRows rows{begin.data(), columns.data(), numbers.data()};
+  for (const kernels::Table* table : tables())
+  {
+    SCOPED_TRACE(table->name);
+    for (const auto& range : ranges())
+    {
+      SCOPED_TRACE(testing::Message() << range.first << " to " << range.second);
+      Floats apart = unknown(), same = b;
+      table->rows_residual(rows, range.first, range.second, b.data(), x.data(), apart.data());
+      expectOnly(range, apart, unknown(), expected, sizes);
+      table->rows_residual(rows, range.first, range.second, same.data(), x.data(), same.data());
+      expectOnly(range, same, b, expected, sizes);
+    }
+  }
+}
+
+TEST_P(RowKernels, SmoothIsItsFormula)
+{
+  constexpr float GAIN = 1.25f;
+  std::vector<Eigen::Matrix3f> inverses;
+  Floats packed(12 * static_cast<std::size_t>(padded), 0.0f);
+  for (int i = 0; i < n; ++i)
+  {
+    inverses.emplace_back(Eigen::Matrix3f::NullaryExpr([&] { return number(); }));
+    put(inverses[i], i % GROUP, packed.data() + 12L * (i / GROUP * GROUP));
+  }
+  const Floats r = field(UNKNOWN), d = field(), z = field();
+  for (const float keep : {0.375f, 0.0f})
+  {
+    Eigen::Matrix3Xd term(3, n), sum(3, n), sizes(3, n), sum_sizes(3, n);
+    for (int i = 0; i < n; ++i)
+    {
+      const Eigen::Matrix3d m = GAIN * inverses[i].cast<double>();
+      const Vector3d residual = at(r, i).cast<double>(), kept = keep * at(d, i).cast<double>();
+      const Vector3d before = at(z, i).cast<double>();
+      term.col(i) = m * residual + kept;
+      sizes.col(i) = m.cwiseAbs() * residual.cwiseAbs() + kept.cwiseAbs();
+      sum.col(i) = before + term.col(i);
+      sum_sizes.col(i) = before.cwiseAbs() + sizes.col(i);
+    }
+    for (const kernels::Table* table : tables())
+    {
+      SCOPED_TRACE(table->name);
+      for (const auto& range : ranges())
+      {
+        SCOPED_TRACE(testing::Message() << "keep " << keep << ", " << range.first << " to " << range.second);
+        // Where nothing is kept, it may be anything.
+        const Floats last = keep == 0 ? unknown() : d;
+        Floats next = unknown(), solution = z;
+        table->single_smooth(range.first, range.second, keep, GAIN, packed.data(), r.data(), last.data(), next.data(),
+                             solution.data());
+        expectOnly(range, next, unknown(), term, sizes);
+        expectOnly(range, solution, z, sum, sum_sizes);
+      }
+    }
   }
 }
 

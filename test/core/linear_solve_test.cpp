@@ -8,6 +8,8 @@
 #include <limits>
 
 #include "bezier_fem/element_operator.h"
+#include "bezier_fem/p_multigrid.h"
+#include "bezier_fem/refine.h"
 #include "core/bar.h"
 #include "turned_inverse.h"
 
@@ -41,13 +43,23 @@ struct Bar
 
   explicit Bar(const StepSettings& with, Element element = Element::QUADRATIC, int threads = 1,
                const Eigen::Vector3i& cells = {3, 3, 6})
-      : model(test::boxModel(test::irregularBox(cells, {0.4, 0.4, 1.0}), element, STIFF)),
+      : Bar(with, test::irregularBox(cells, {0.4, 0.4, 1.0}), element, threads)
+  {
+  }
+  Bar(const StepSettings& with, const TetMesh& mesh, Element element, int threads)
+      : model(test::boxModel(mesh, element, STIFF)),
         settings(with),
         supports(test::holdFoot(model, model.rest)),
         no_force(model.num_nodes),
         workspace(model, settings, threads),
         state(startState(model, settings, supports, model.rest, Vector3d::Zero(), workspace))
   {
+  }
+  /** Keeps what steps would make for themselves, but for how. */
+  void multigrid(bool factored)
+  {
+    workspace.preconditioner = std::make_unique<PMultigrid>(model, workspace.partition, factored);
+    workspace.preconditioner_kind = Kind::PMULTIGRID;
   }
   StepReport step()
   {
@@ -81,12 +93,85 @@ TEST(LinearSolve, EveryPreconditionerGivesTheSameMotion)
   }
 }
 
+TEST(LinearSolve, AggregatesGiveTheMotionOfTheFactorAndStandForItInLargeBodies)
+{
+  // Below and above the vertices up to which multigrid factors.
+  struct
+  {
+    Element element;
+    Eigen::Vector3i cells;
+    bool large;
+  } const cases[] = {{Element::LINEAR, {5, 5, 8}, false},
+                     {Element::QUADRATIC, {3, 3, 6}, false},
+                     {Element::LINEAR, {10, 10, 44}, true},
+                     {Element::QUADRATIC, {8, 8, 40}, true}};
+  for (const auto& c : cases)
+  {
+    for (const Elasticity elasticity : {Elasticity::COROTATED, Elasticity::LINEAR})
+    {
+      if (c.large && elasticity == Elasticity::LINEAR) continue;
+      SCOPED_TRACE(testing::Message() << test::name(c.element) << (c.large ? ", large" : ", small"));
+      const StepSettings settings = settingsOf(elasticity, Kind::PMULTIGRID, c.large ? 1e-7 : 1e-9);
+      Bar factored(settings, c.element, 2, c.cells), aggregated(settings, c.element, 2, c.cells);
+      Bar chosen(settings, c.element, 2, c.cells);
+      factored.multigrid(true);
+      aggregated.multigrid(false);
+      int by_factor = 0, by_aggregates = 0;
+      for (int k = 0; k < (c.large ? 2 : 10); ++k)
+      {
+        EXPECT_EQ(chosen.step().preconditioner, Kind::PMULTIGRID);
+        by_factor += factored.step().iterations;
+        by_aggregates += aggregated.step().iterations;
+      }
+      EXPECT_LT(by_factor, by_aggregates);
+      EXPECT_LT(distance(aggregated, factored), c.large ? 1e-6 : 1e-7);
+      EXPECT_GT(distance(aggregated, factored), 0);
+      EXPECT_EQ(distance(chosen, c.large ? aggregated : factored), 0);
+      EXPECT_GT((chosen.state.x.matrix() - chosen.model.rest.matrix()).norm(), 1e-2);
+    }
+  }
+}
+
+TEST(LinearSolve, ARefinedBarMovesTheSameWithAggregates)
+{
+  StepSettings settings = settingsOf(Elasticity::COROTATED, Kind::PMULTIGRID, 1e-8);
+  for (const Element element : {Element::LINEAR, Element::QUADRATIC})
+  {
+    const TetMesh mesh = refined(test::irregularBox({2, 2, 5}, {0.4, 0.4, 1.0}), element == Element::LINEAR ? 2 : 1);
+    Bar factored(settings, mesh, element, 1), aggregated(settings, mesh, element, 2);
+    factored.multigrid(true);
+    aggregated.multigrid(false);
+    // It turns over, and what was made for it at rest has to follow.
+    for (int k = 0; k < 15; ++k)
+    {
+      factored.step();
+      aggregated.step();
+    }
+    EXPECT_LT(distance(aggregated, factored), 1e-6);
+  }
+}
+
 TEST(LinearSolve, StepsAreTheSameToTheBitForAnyNumberOfThreads)
 {
   for (const Element element : {Element::LINEAR, Element::QUADRATIC})
   {
     // Several chunks of nodes, the last one not full.
     const Eigen::Vector3i cells = element == Element::LINEAR ? Eigen::Vector3i(6, 6, 10) : Eigen::Vector3i(3, 3, 6);
+    for (const bool aggregated : {false, true})
+    {
+      const StepSettings settings = settingsOf(Elasticity::COROTATED, Kind::PMULTIGRID);
+      Bar one(settings, element, 1, cells), two(settings, element, 2, cells), three(settings, element, 3, cells);
+      for (Bar* bar : {&one, &two, &three}) bar->multigrid(!aggregated);
+      for (int k = 0; k < 3; ++k)
+      {
+        one.step();
+        for (Bar* bar : {&two, &three})
+        {
+          bar->step();
+          EXPECT_TRUE((bar->state.x.matrix().array() == one.state.x.matrix().array()).all());
+        }
+      }
+    }
     for (const Kind kind : {Kind::BLOCK_JACOBI, Kind::PMULTIGRID, Kind::DIRECT})
     {
       for (const auto system : {Scene::Solver::Operator::MATRIX_FREE, Scene::Solver::Operator::ASSEMBLED})
@@ -301,7 +386,15 @@ TEST(LinearSolve, AFactorIsRenewedWhenExcessIterationsHavePaidForIt)
   EXPECT_FALSE(factor.valid());
 }
 
-TEST(LinearSolve, AFactorTurnsWithTheBodyAndLeavesOutWhatIsHeld)
+class Turned : public testing::TestWithParam<TurnedInverse::Form>
+{
+};
+INSTANTIATE_TEST_SUITE_P(Forms, Turned, testing::Values(TurnedInverse::Form::FACTOR, TurnedInverse::Form::AGGREGATION),
+                         [](const auto& p) {
+                           return std::string(p.param == TurnedInverse::Form::FACTOR ? "factor" : "aggregation");
+                         });
+
+TEST_P(Turned, TurnsWithTheBodyAndLeavesOutWhatIsHeld)
 {
   const Model model = test::boxModel(test::irregularBox({2, 2, 4}, {0.4, 0.4, 1.0}), Element::QUADRATIC, STIFF);
   const int n = model.num_nodes;
@@ -330,8 +423,7 @@ TEST(LinearSolve, AFactorTurnsWithTheBodyAndLeavesOutWhatIsHeld)
   {
     HeldAxes held(n, 0);
     for (int i = 0; foot && i < n; ++i) held[i] = model.rest[i].z() < 1e-9 ? i % 8 : 0;
-    constexpr auto FACTOR = TurnedInverse::Form::FACTOR;
-    TurnedInverse at_rest(model, 1, FACTOR), anew(model, 1, FACTOR);
+    TurnedInverse at_rest(model, 1, GetParam()), anew(model, 1, GetParam());
     ASSERT_TRUE(at_rest.make(rest, rest, held, 1, 4e-4));
     ASSERT_TRUE(anew.make(turned, turned, held, 1, 4e-4));
     const auto solve = [&](TurnedInverse& factor, float in_held) {
@@ -354,7 +446,9 @@ TEST(LinearSolve, AFactorTurnsWithTheBodyAndLeavesOutWhatIsHeld)
     // Turned as a whole, a free body's system is the one at rest, turned.
     if (!foot)
     {
-      EXPECT_LT((served - expected).norm(), 1e-4 * expected.norm());
+      // A cycle's largest eigenvalue is estimated from another random field.
+      EXPECT_LT((served - expected).norm(),
+                (GetParam() == TurnedInverse::Form::FACTOR ? 1e-4 : 2e-2) * expected.norm());
     }
     for (TurnedInverse* factor : {&at_rest, &anew})
     {
