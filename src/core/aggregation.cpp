@@ -55,7 +55,7 @@ using Block = Eigen::Map<const Eigen::Matrix3d>;
 /**
  * The aggregates (Vanek, Mandel and Brezina 1996, "Algebraic multigrid by smoothed aggregation for second and fourth
  * order elliptic problems", algorithm 5.1): whole neighbourhoods that do not touch, to which nodes in between are added
- * where they have most neighbours; then what is left.
+ * where they have most neighbours.
  */
 class Aggregation::Sets
 {
@@ -66,13 +66,11 @@ public:
     {
       bool apart = true;
       forEachNeighbour(i, [&](int j) { apart = apart && of_[j] == NONE; });
-      if (apart) found(i);
+      if (!apart) continue;
+      forEachNeighbour(i, [&](int j) { of_[j] = count_; });
+      ++count_;
     }
     join();
-    for (int i = 0; i < pattern.rows(); ++i)
-    {
-      if (of_[i] == NONE) found(i);
-    }
   }
 
   int count() const { return count_; }
@@ -131,13 +129,7 @@ private:
     for (int k = pattern_.rowBegin()[i]; k < pattern_.rowBegin()[i + 1]; ++k) f(pattern_.column()[k]);
   }
 
-  /** A new one, of a node and those around it that are in none. */
-  void found(int node)
-  {
-    forEachNeighbour(node, [&](int j) { of_[j] = of_[j] == NONE ? count_ : of_[j]; });
-    ++count_;
-  }
-
+  /** Each node that is in none has a neighbour that is, or it would have founded one. */
   void join()
   {
     const std::vector<int> first = of_;

@@ -34,9 +34,9 @@ enum class Likeness
 
 /**
  * Solves a system for workspace.change, of workspace.rhs, with the preconditioner that the settings ask for, made of
- * alpha M + beta K'; workspace.solver is prepared for the system. `auto` begins with the diagonal blocks and goes on with
- * multigrid where these take long, from then on at once; systems that always stay the same it factors, unless they are
- * large.
+ * alpha M + beta K'; workspace.solver is prepared for the system. `auto` begins with the diagonal blocks and goes on
+ * with multigrid where these take long, from then on at once; systems that always stay the same it factors, unless they
+ * are large.
  * @param start   sets workspace.change to begin with; is given a preconditioner of the same system, if there is one yet
  * @param report  its iterations and preconditioner are brought up to date
  */

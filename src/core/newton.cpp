@@ -96,8 +96,9 @@ bool GreenNewton::solve(double forcing, int max_iterations, StepReport& report)
   const double part = w_.solver.relativeNorm(w_.partition, m_.gradient, m_.gradient);
   std::swap(m_.rotations, m_.before);
   updateRotations(model_, w_.partition, x_, m_.before, m_.rotations, m_.turned);
-  solvePreconditioned(model_, settings_, supports_, m_.rotations, Likeness::LIKE, *system_, alpha_, h_ * h_ + beta_,
-                      forcing * part, max_iterations, serves_, [](Preconditioner*) {}, w_, report);
+  solvePreconditioned(
+      model_, settings_, supports_, m_.rotations, Likeness::LIKE, *system_, alpha_, h_ * h_ + beta_, forcing * part,
+      max_iterations, serves_, [](Preconditioner*) {}, w_, report);
   return m_.gradient.matrix().cwiseProduct(w_.change.matrix()).sum() < 0;
 }
 

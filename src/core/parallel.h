@@ -7,14 +7,14 @@
 
 namespace bezier_fem
 {
-/** work(data, piece) for every piece, by several threads that claim them. */
+/** work(data, piece) for every piece, of which there is at least one, by several threads that claim them. */
 void runPieces(int threads, int pieces, void (*work)(const void*, int), const void* data);
 
 /** Calls f(piece) for every piece, at the same time where there are several threads. */
 template <class F>
 void forEachPiece(int threads, int pieces, const F& f)
 {
-  if (threads == 1 || pieces == 1)
+  if (threads == 1 || pieces <= 1)
   {
     for (int piece = 0; piece < pieces; ++piece) f(piece);
     return;

@@ -141,8 +141,9 @@ StepReport solveStatic(const Model& model, const StepSettings& settings, const S
     const SystemOperator& system = systemOf(matrix_free, state.rotations, 0, 1, w);
     w.solver.prepare(system, model, w.partition, supports.held, 0);
     w.change.setZero();
-    solveLinear(model, settings, supports, state.rotations, system, 0, 1, round_tolerance,
-                100 * settings.solver.max_iterations, Serves::SAME_COEFFICIENTS, [](Preconditioner*) {}, w, report);
+    solveLinear(
+        model, settings, supports, state.rotations, system, 0, 1, round_tolerance, 100 * settings.solver.max_iterations,
+        Serves::SAME_COEFFICIENTS, [](Preconditioner*) {}, w, report);
     // A round turns the body too far for the factor to serve again.
     if (w.preconditioner && !linear) w.preconditioner->forget();
 
