@@ -186,16 +186,57 @@ public:
     FusedAssembler(model, A).assemble(model, Partition(model, 1), restRotations(model), 1, dt * dt, A);
     cholesky_ = std::make_unique<SparseCholesky>(A, model.rest);
     if (!cholesky_->factor(A)) throw std::runtime_error(file + ": cannot be factored");
-    right_.assign(4L * A.rows(), 1.0f);
-    left_.resize(right_.size());
+    rows_ = A.rows();
+    takeRows(A);
   }
   double numbers() const { return static_cast<double>(cholesky_->size()); }
-  double vertices() const { return static_cast<double>(right_.size()) / 4; }
+  double vertices() const { return rows_; }
   void solve() { cholesky_->solve(right_.data(), left_.data()); }
 
+  // The same matrix by groups of rows, as where it is too large to be factored; with those that fill up a group
+  double blocks() const { return static_cast<double>(columns_.size()); }
+  void residual()
+  {
+    kernels::table().rows_residual({steps_.data(), columns_.data(), blocks_.data()}, 0, rows_, right_.data(),
+                                   of_rows_.data(), left_.data());
+  }
+  /** A term of the smoother beside it. */
+  void smooth()
+  {
+    kernels::table().single_smooth(0, rows_, 0.5f, 0.5f, inverse_.data(), right_.data(), of_rows_.data(), left_.data(),
+                                   sum_.data());
+  }
+
 private:
+  void takeRows(const AssembledMatrix& A)
+  {
+    constexpr int GROUP = kernels::INVERSE_GROUP;
+    const auto begin = [&](int i) { return A.rowBegin()[std::min(i, A.rows())]; };
+    steps_.push_back(0);
+    for (int i = 0; i < A.rows(); i += GROUP)
+    {
+      int most = 0;
+      for (int k = i; k < i + GROUP; ++k) most = std::max(most, begin(k + 1) - begin(k));
+      for (int step = 0; step < most; ++step)
+      {
+        for (int k = i; k < i + GROUP; ++k)
+        {
+          columns_.push_back(begin(k) + step < begin(k + 1) ? A.column()[begin(k) + step] : i);
+        }
+      }
+      steps_.push_back(steps_.back() + most);
+    }
+    blocks_.assign(12 * columns_.size(), 1e-3f);
+    inverse_.assign(12 * GROUP * (steps_.size() - 1), 0.1f);
+    of_rows_.assign(4 * GROUP * (steps_.size() - 1), 1.0f);
+    sum_ = right_ = left_ = of_rows_;
+  }
+
   std::unique_ptr<SparseCholesky> cholesky_;
   AlignedVector<float> right_, left_;
+  int rows_ = 0;
+  std::vector<int> steps_, columns_;
+  AlignedVector<float> blocks_, inverse_, of_rows_, sum_;
 };
 
 /** Panels like those of a factor's large supernodes, of as many numbers as the factor has. */
@@ -404,6 +445,11 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
        [&]() { sink += table.single_dot(0, count, single.r.data(), single.z.data()); }},
       // Of the factor of linear elements on the same tetrahedra, with what of its blocks' upper triangles is read.
       {"Cholesky solve", true, 4 * factor.numbers(), 2 * (factored + sides), factored, [&]() { factor.solve(); }},
+      // Of the same matrix beyond some thousands of vertices, with what fills up groups of rows
+      {"aggregates: residual", true, factor.blocks() * 18,
+       factor.blocks() * (INDEX + 12 * HALF * NUMBER) + vertices * 3 * HALF * NODE, 0, [&]() { factor.residual(); }},
+      {"aggregates: smoother's term", true, vertices * (INVERSE_PRODUCT + 3 + 6 + 3),
+       vertices * HALF * (5 * NODE + 12 * NUMBER), 0, [&]() { factor.smooth(); }},
       {"panel product", true, 2 * panels.numbers(), panels.numbers() * HALF * NUMBER, 0, [&]() { panels.product(); }},
       {"panel product, transposed", true, 2 * panels.numbers(), panels.numbers() * HALF * NUMBER, 0,
        [&]() { panels.transposeProduct(); }},
