@@ -20,7 +20,11 @@ namespace bezier_fem
 class Aggregation final : public BlockInverse
 {
 public:
-  /** @param positions  of the nodes at rest; kept by reference */
+  /**
+   * @param pattern    with the stiffness at rest, or one like it: weak connections, as those of what is stiff with what
+   *                   is soft, do not make aggregates
+   * @param positions  of the nodes at rest; kept by reference
+   */
   Aggregation(const AssembledMatrix& pattern, const NodalField& positions);
 
   bool make(const AssembledMatrix& matrix, const HeldAxes& held, const float* frames) override;

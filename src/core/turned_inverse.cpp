@@ -133,11 +133,12 @@ void hold(const HeldAxes& held, AssembledMatrix& matrix)
   }
 }
 
-std::unique_ptr<BlockInverse> inverseOf(TurnedInverse::Form form, const AssembledMatrix& pattern,
-                                        const NodalField& rest)
+/** @param system  set to what aggregates are to be made by */
+std::unique_ptr<BlockInverse> inverseOf(TurnedInverse::Form form, const Model& model, AssembledSystem& system)
 {
-  if (form == TurnedInverse::Form::AGGREGATION) return std::make_unique<Aggregation>(pattern, rest);
-  return std::make_unique<SparseCholesky>(pattern, rest);
+  if (form == TurnedInverse::Form::FACTOR) return std::make_unique<SparseCholesky>(system.matrix(), model.rest);
+  system.assemble(restRotations(model), 0, 1);
+  return std::make_unique<Aggregation>(system.matrix(), model.rest);
 }
 
 void scaleDiagonal(double factor, AssembledMatrix& matrix)
@@ -153,7 +154,7 @@ TurnedInverse::TurnedInverse(const Model& model, int threads, Form form)
     : model_(model),
       partition_(model, threads),
       system_(model, partition_),
-      inverse_(inverseOf(form, system_.matrix(), model.rest)),
+      inverse_(inverseOf(form, model, system_)),
       rotations_(COLUMNS * LANES * model.num_blocks),
       elements_begin_(model.num_nodes + 1),
       elements_(model.tets.size()),
