@@ -69,8 +69,7 @@ double ConjugateGradient::relativeNorm(const Partition& partition, const NodalFi
 }
 
 void ConjugateGradient::start(const SystemOperator& system, const Partition& partition, const NodalField& b,
-                              const std::array<NodalField, 3>& past, int count, NodalField& u,
-                              Preconditioner* rough)
+                              const std::array<NodalField, 3>& past, int count, NodalField& u, Preconditioner* rough)
 {
   u.setZero();
   product_known_ = false;
