@@ -43,8 +43,9 @@ public:
   /** Whether product() can be asked. */
   virtual bool hasProduct() const { return false; }
   /**
-   * `rounded` = u in single precision, out = A `rounded` too, which takes a third of the time. Elements see differences
-   * of it, which are exact: so errors are relative to their stresses, not to the motion as a whole.
+   * `rounded` = u, but for a translation in single precision, out = A `rounded` too, which takes a third of the time.
+   * Elements see differences of it, which are exact: so errors are relative to how the body moves within itself, and to
+   * its stresses and inertia from that, not to its motion as a whole.
    * @param rounded  may be u
    */
   virtual void product(const NodalField& /*u*/, NodalField& /*rounded*/, NodalField& /*out*/) {}

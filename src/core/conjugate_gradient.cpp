@@ -102,6 +102,7 @@ void ConjugateGradient::start(const SystemOperator& system, const Partition& par
     work[k] = dot(*basis[k], b);
     for (int j = 0; j <= k; ++j) gram(j, k) = gram(k, j) = dot(*basis[j], images_[k]);
   }
+  if (!gram.allFinite()) return;  // nor are all images numbers
   const Eigen::Vector2d scale = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
   const Eigen::LLT<Eigen::Matrix2d> llt(scale.asDiagonal() * gram * scale.asDiagonal());
   Eigen::Vector2d weights = scale.cwiseProduct(llt.solve(scale.cwiseProduct(work)));

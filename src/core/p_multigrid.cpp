@@ -104,6 +104,7 @@ public:
 
   void take(const Rotations& rotations, double alpha, double beta, const AlignedVector<double>& inverse)
   {
+    alpha_ = alpha;
     takeElements(rotations, alpha, beta);
     const double share = std::sqrt(takeInverse(alpha, inverse) / model_.num_nodes);
     lumped_ = share < LUMPED_SHARE;
@@ -150,14 +151,19 @@ public:
     const auto floats = [](AlignedVector<float>& field, int first, int nodes) {
       return Eigen::Map<Eigen::Matrix<float, 4, Eigen::Dynamic>>(field.data() + 4L * first, 4, nodes);
     };
+    // Of a translation there is no stress, and its inertia is known: so it is left out of the rounding, which would
+    // strain a stiff body that falls by more than anything else does. Any node tells it.
+    const Eigen::Vector4f translation = u.columns(0, 1).cast<float>();
+    const Eigen::Vector4d shift = translation.cast<double>(), inertia = alpha_ * shift;
     forEachChunk(partition_, [&](int first, int nodes) {
-      floats(search, first, nodes) = u.columns(first, nodes).cast<float>();
-      rounded.columns(first, nodes) = floats(search, first, nodes).cast<double>();
+      floats(search, first, nodes) = (u.columns(first, nodes).colwise() - shift).cast<float>();
+      rounded.columns(first, nodes) = floats(search, first, nodes).cast<double>().colwise() + shift;
     });
     multiply(search);
     sumProduct();
     forEachChunk(partition_, [&](int first, int nodes) {
-      out.columns(first, nodes) = floats(product, first, nodes).cast<double>();
+      const Eigen::Map<const Eigen::RowVectorXd> mass(model_.node_mass.data() + first, nodes);
+      out.columns(first, nodes) = floats(product, first, nodes).cast<double>() + inertia.lazyProduct(mass);
     });
   }
 
@@ -363,7 +369,7 @@ private:
 
   const Model &model_, &linear_;
   const Partition& partition_;
-  double largest_ = 0;
+  double alpha_ = 0, largest_ = 0;
   bool lumped_ = false;
   // kernels.h tells the layouts.
   AlignedVector<float> rotated_, coefficients_, mean_, inverse_, shares_;

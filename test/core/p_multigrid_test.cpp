@@ -3,9 +3,14 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
+#include <algorithm>
+#include <array>
 #include <atomic>
+#include <limits>
+#include <vector>
 
 #include "bezier_fem/conjugate_gradient.h"
+#include "bezier_fem/element_operator.h"
 #include "bezier_fem/step.h"
 #include "core/bar.h"
 #include "direct_preconditioner.h"
@@ -237,6 +242,317 @@ TEST_P(Multigrid, FollowsANewMaterial)
   multigrid.apply(b, z);
   anew.apply(b, of_anew);
   EXPECT_EQ((z.matrix() - of_anew.matrix()).norm(), 0);
+}
+
+/** Counts its products in double precision. */
+class CountedSystem final : public SystemOperator
+{
+public:
+  explicit CountedSystem(const SystemOperator& own) : own_(own) {}
+  void product(const NodalField& u, NodalField& out) const override
+  {
+    ++products;
+    own_.product(u, out);
+  }
+  void diagonal(AlignedVector<double>& blocks) const override { own_.diagonal(blocks); }
+  mutable int products = 0;
+
+private:
+  const SystemOperator& own_;
+};
+
+Vector3d inSingle(const Vector3d& a)
+{
+  // GCC 12 takes two numbers there and back at once as if nothing came of it, unless it has to store them.
+  volatile float x = static_cast<float>(a.x()), y = static_cast<float>(a.y()), z = static_cast<float>(a.z());
+  return {x, y, z};
+}
+
+TEST_P(Multigrid, ProductsAreThoseOfTheFieldInSinglePrecision)
+{
+  // Large beside what strains it, which is little more than its rounding: of that nothing may be left.
+  const Vector3d translation(96, -64, 40);
+  const int n = model.num_nodes;
+  const double to_single = std::numeric_limits<float>::epsilon() / 2;
+  for (const auto& [alpha, beta] : {std::pair{0.0, 1.0}, {1.0, 4e-4}, {1.0, 1e-2}, {1.0, 1e-9}})
+  {
+    const MatrixFreeSystem<Rotations> system(model, partition, rotations, alpha, beta);
+    ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
+    ASSERT_TRUE(multigrid.prepare(model, rotations, held, alpha, beta, solver.inverse()));
+    // There are no single precision products of linear elements; of four rotations there is only the mean.
+    ASSERT_EQ(multigrid.hasProduct(), model.quadratic() && GetParam().rule != RotationRule::FOUR_POINTS);
+    if (!multigrid.hasProduct()) continue;
+    for (const double size : {1.0, 1e-4, 1e-20, 1e15})
+    {
+      for (const Vector3d& moved : {Vector3d(0, 0, 0), translation})
+      {
+        if (moved.norm() > 0 && (size > 1 || size < 1e-6)) continue;  // of which nothing would be left
+        SCOPED_TRACE(testing::Message() << alpha << " M + " << beta << " K, " << size << ", " << moved.x());
+        NodalField u = test::randomField(n, 5);
+        u.matrix() *= size;
+        for (int i = 0; i < n; ++i) u[i] += moved;
+        const bool one_rests = moved.norm() == 0;
+        if (one_rests) u[n - 1].setZero();
+        NodalField rounded(n), out(n), expected(n), strain(n), stress(n), inertia(n);
+        multigrid.product(u, rounded, out);
+        const Vector3d about = inSingle(u[0]);
+        for (int i = 0; i < n; ++i)
+        {
+          ASSERT_EQ(rounded[i], about + inSingle(u[i] - about));
+          strain[i] = rounded[i] - about;
+        }
+        EXPECT_EQ(rounded[n - 1].norm() == 0, one_rests);
+        const double change = (rounded.matrix() - u.matrix()).norm();
+        EXPECT_GT(change, 0.1 * to_single * strain.matrix().norm());
+        EXPECT_LE(change, to_single * strain.matrix().norm());
+        system.product(rounded, expected);
+        systemProduct(model, partition, rotations, 0, beta, strain, stress);
+        systemProduct(model, partition, rotations, alpha, 0, strain, inertia);
+        EXPECT_LT((out.matrix() - expected.matrix()).cwiseAbs().maxCoeff(),
+                  1e-6 * (stress.matrix().cwiseAbs().maxCoeff() + inertia.matrix().cwiseAbs().maxCoeff()));
+        EXPECT_EQ(out.matrix().row(3).norm(), 0);
+
+        // In place; and whatever was done in between, which the product does not change either.
+        NodalField z(n), again(n), improved(n), in_place = u;
+        multigrid.apply(expected, z);
+        multigrid.improve(expected, 0, 2, improved);
+        multigrid.product(in_place, in_place, again);
+        EXPECT_EQ((again.matrix() - out.matrix()).cwiseAbs().maxCoeff(), 0);
+        EXPECT_EQ((in_place.matrix() - rounded.matrix()).cwiseAbs().maxCoeff(), 0);
+        NodalField z_again(n), improved_again(n);
+        multigrid.apply(expected, z_again);
+        multigrid.improve(expected, 0, 2, improved_again);
+        EXPECT_EQ((z_again.matrix() - z.matrix()).cwiseAbs().maxCoeff(), 0);
+        EXPECT_EQ((improved_again.matrix() - improved.matrix()).cwiseAbs().maxCoeff(), 0);
+      }
+    }
+  }
+}
+
+class RoughStart : public Multigrid
+{
+protected:
+  const double alpha = 1, beta = 4e-4;
+  const int n = model.num_nodes;
+  const MatrixFreeSystem<Rotations> own{model, partition, rotations, alpha, beta};
+  const CountedSystem system{own};
+
+  void SetUp() override
+  {
+    ASSERT_TRUE(solver.prepare(system, model, partition, held, 0));
+    ASSERT_TRUE(multigrid.prepare(model, rotations, held, alpha, beta, solver.inverse()));
+  }
+  NodalField random(unsigned seed, double size = 1) const
+  {
+    NodalField field = test::randomField(n, seed);
+    field.matrix() *= size;
+    clearHeld(field);
+    return field;
+  }
+  NodalField residual(const NodalField& b, const NodalField& u) const
+  {
+    NodalField r(n);
+    own.product(u, r);
+    r.matrix() = b.matrix() - r.matrix();
+    return r;
+  }
+  /** What is reported is of the solution that is left, in double precision. */
+  void expectTruth(const SolveReport& report, const NodalField& b, const NodalField& u, double tolerance,
+                   int max_iterations)
+  {
+    const NodalField r = residual(b, u);
+    const double truth = solver.relativeNorm(partition, r, b);
+    EXPECT_TRUE(u.matrix().allFinite());
+    EXPECT_NEAR(report.residual, truth, 1e-6 * truth + 1e-15);
+    EXPECT_EQ(report.converged, report.residual <= tolerance);
+    EXPECT_TRUE(report.converged || report.iterations == max_iterations);
+    EXPECT_LE(report.iterations, max_iterations);
+    // Reactions are made of it: held components count too.
+    EXPECT_LT((solver.residual().matrix() - r.matrix()).cwiseAbs().maxCoeff(),
+              1e-12 * (b.matrix() - r.matrix()).cwiseAbs().maxCoeff());
+  }
+};
+INSTANTIATE_TEST_SUITE_P(Elements, RoughStart, testing::Values(LINEAR, QUADRATIC, FOUR, MEAN, aggregated(QUADRATIC)),
+                         name);
+
+TEST_P(RoughStart, IsThatOfDoublePrecisionButForItsRounding)
+{
+  const std::array<NodalField, 3> past{random(1), random(2), random(3)};
+  const NodalField b = random(4);
+  for (const int count : {0, 1, 2, 3})
+  {
+    NodalField u(n), expected(n);
+    system.products = 0;
+    solver.start(system, partition, b, past, count, expected);
+    const int products = system.products;
+    EXPECT_EQ(products, std::min(count, 2));
+    solver.start(system, partition, b, past, count, u, &multigrid);
+    EXPECT_EQ(system.products, (multigrid.hasProduct() ? 1 : 2) * products);
+    const double error = (u.matrix() - expected.matrix()).norm();
+    EXPECT_LE(error, 2e-6 * expected.matrix().norm()) << count;
+    EXPECT_EQ(error > 0, count > 0 && multigrid.hasProduct());
+    EXPECT_EQ(expected.matrix().norm() > 0, count > 0);
+    clearHeld(expected = u);
+    EXPECT_EQ((expected.matrix() - u.matrix()).norm(), 0);
+  }
+}
+
+TEST_P(RoughStart, IsNotWhatIsReported)
+{
+  const std::array<NodalField, 3> past{random(1), random(2), random(3)};
+  // Of the first one the start leaves nothing in single precision; of the second one its rounding; the third one is
+  // far away.
+  NodalField rounded(n), in_single(n), in_span(n), next(n);
+  own.product(past[0], in_single);
+  if (multigrid.hasProduct()) multigrid.product(past[0], rounded, in_single);
+  next.matrix() = 0.7 * (3 * (past[0].matrix() - past[1].matrix()) + past[2].matrix()) + 0.2 * past[0].matrix();
+  own.product(next, in_span);
+  struct
+  {
+    const NodalField b;
+    int count;
+    bool solved;
+  } const cases[] = {{in_single, 1, true}, {in_span, 3, true}, {random(4), 3, false}};
+  for (const auto& c : cases)
+  {
+    for (Preconditioner* preconditioner :
+         {static_cast<Preconditioner*>(&multigrid), static_cast<Preconditioner*>(nullptr)})
+    {
+      for (const double tolerance : {1e-4, 1e-10})
+      {
+        for (const int most : {0, 1, 2, 5000})
+        {
+          SCOPED_TRACE(testing::Message() << (&c - cases) << (preconditioner ? ", multigrid, " : ", blocks, ")
+                                          << tolerance << ", " << most);
+          NodalField u(n);
+          solver.start(system, partition, c.b, past, c.count, u, &multigrid);
+          system.products = 0;
+          const SolveReport report = solver.solve(system, partition, c.b, u, tolerance, most, preconditioner);
+          expectTruth(report, c.b, u, tolerance, most);
+          EXPECT_TRUE(report.converged || most < 5000);
+          if (!c.solved) continue;
+          if (tolerance == 1e-4)
+          {
+            // Solved already, which one product says; of double precision it is known.
+            EXPECT_TRUE(report.converged);
+            EXPECT_EQ(report.iterations, 0);
+            EXPECT_EQ(system.products, multigrid.hasProduct() ? 1 : 0);
+          }
+          if (multigrid.hasProduct() && most == 0)
+          {
+            EXPECT_GT(report.residual, 1e-9);
+            EXPECT_LT(report.residual, 1e-5);
+          }
+        }
+      }
+    }
+  }
+
+  // One in double precision after it is known to the last digit again.
+  NodalField u(n);
+  solver.start(system, partition, in_span, past, 3, u, &multigrid);
+  solver.start(system, partition, in_span, past, 3, u);
+  system.products = 0;
+  const SolveReport report = solver.solve(system, partition, in_span, u, 1e-10, 5000, &multigrid);
+  EXPECT_EQ(report.iterations, 0);
+  EXPECT_EQ(system.products, 0);
+  expectTruth(report, in_span, u, 1e-10, 5000);
+}
+
+TEST_P(RoughStart, IsUsableOrNoneBeyondTheRangeOfSinglePrecision)
+{
+  constexpr double TOLERANCE = 1e-8;
+  const auto solve = [&](const NodalField& b, NodalField& u) {
+    const SolveReport report = solver.solve(system, partition, b, u, TOLERANCE, 1000, &multigrid);
+    expectTruth(report, b, u, TOLERANCE, 1000);
+    EXPECT_TRUE(report.converged);
+    return report.iterations;
+  };
+  const double sizes[] = {1e300, 1e39, 1e37, 1e34, 1e30, 1, 1e-36, 1e-42, 1e-60};
+  for (const double of_b : {1.0, 1e30, 1e-42})
+  {
+    // Of linear elements the correction is for a residual as it is, not over its largest number.
+    if (!model.quadratic() && of_b < 1e-38) continue;
+    const NodalField b = random(4, of_b);
+    NodalField u(n);
+    const int from_nothing = solve(b, u);
+    for (const double first : sizes)
+    {
+      for (const double second : sizes)
+      {
+        SCOPED_TRACE(testing::Message() << of_b << ", " << first << ", " << second);
+        const std::array<NodalField, 3> past{random(1, first), random(2, second), random(3, second)};
+        for (const int count : {1, 3})
+        {
+          solver.start(system, partition, b, past, count, u, &multigrid);
+          ASSERT_TRUE(u.matrix().allFinite());
+          EXPECT_LE(solve(b, u), from_nothing + 8) << count;
+        }
+      }
+    }
+  }
+}
+
+TEST_P(RoughStart, IsNotMadeOfForcesThatAreNoNumbers)
+{
+  // One node's force is beyond single precision's range, and against the node's own motion: the field's work is then
+  // minus infinity, which looks like that of one that does not move.
+  NodalField row(n), field(n), force(n);
+  double size = 0;
+  for (int i = 0; i < n && size == 0; ++i)
+  {
+    if (held[i] != 0) continue;
+    field.setZero();
+    field[i].x() = 1;
+    own.product(field, row);
+    for (int k = 0; k < n; ++k) field[k] = row[k].array().sign();
+    field[i].x() = -1e-3;
+    clearHeld(field);
+    own.product(field, force);
+    const double largest = force[i].x();
+    force[i].x() = 0;
+    if (largest > 1.1 * force.matrix().cwiseAbs().maxCoeff()) size = 1.05 * std::numeric_limits<float>::max() / largest;
+  }
+  ASSERT_GT(size, 0);
+  field.matrix() *= size;
+  const NodalField small = random(1), b = random(4);
+  NodalField to_field(n), u(n);
+  to_field.matrix() = 2 * small.matrix() - field.matrix();
+  for (const auto& past : {std::array<NodalField, 3>{field, field, field}, {small, to_field, small}})
+  {
+    for (const int count : {1, 2})
+    {
+      solver.start(system, partition, b, past, count, u, &multigrid);
+      ASSERT_TRUE(u.matrix().allFinite());
+      const SolveReport report = solver.solve(system, partition, b, u, 1e-8, 1000, &multigrid);
+      expectTruth(report, b, u, 1e-8, 1000);
+      EXPECT_TRUE(report.converged);
+    }
+  }
+}
+
+TEST_P(RoughStart, IsTheSameToTheBitForAnyNumberOfThreads)
+{
+  const std::array<NodalField, 3> past{random(1), random(2), random(3)};
+  const NodalField b = random(4);
+  std::vector<NodalField> starts, solutions;
+  for (const int threads : {1, 2, 3})
+  {
+    const Partition several(model, threads);
+    ASSERT_EQ(several.threads(), threads);
+    const MatrixFreeSystem<Rotations> threaded(model, several, rotations, alpha, beta);
+    ConjugateGradient gradients(model, several);
+    PMultigrid cycle(model, several, GetParam().factored);
+    ASSERT_TRUE(gradients.prepare(threaded, model, several, held, 0));
+    ASSERT_TRUE(cycle.prepare(model, rotations, held, alpha, beta, gradients.inverse()));
+    NodalField u(n);
+    gradients.start(threaded, several, b, past, 3, u, &cycle);
+    starts.push_back(u);
+    EXPECT_TRUE(gradients.solve(threaded, several, b, u, 1e-10, 1000, &cycle).converged);
+    solutions.push_back(u);
+    EXPECT_EQ((starts.back().matrix() - starts[0].matrix()).cwiseAbs().maxCoeff(), 0) << threads;
+    EXPECT_EQ((solutions.back().matrix() - solutions[0].matrix()).cwiseAbs().maxCoeff(), 0) << threads;
+  }
 }
 
 TEST_P(Direct, TheWholeSystemsFactorIsItsInverseAndServesTurnedOnes)
