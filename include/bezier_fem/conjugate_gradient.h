@@ -51,7 +51,7 @@ public:
    * iterative solution of Ax = b with successive right-hand sides"). To be followed by solve() from that u.
    * @param system  that of the last prepare()
    * @param count   of the past solutions to use: 0 to 3
-   * @param rough   prepared for the same system, to make its products in single precision, if it can; may be null
+   * @param rough   prepared for the same system, to make its products in single precision; or null
    */
   void start(const SystemOperator& system, const Partition& partition, const NodalField& b,
              const std::array<NodalField, 3>& past, int count, NodalField& u, Preconditioner* rough = nullptr);

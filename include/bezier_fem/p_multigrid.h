@@ -36,7 +36,7 @@ public:
   void took(int iterations) override;
   int patience() const override { return std::numeric_limits<int>::max(); }  // an old factor costs few iterations
   void apply(const NodalField& r, NodalField& z) override;
-  bool hasProduct() const override { return quadratic_ != nullptr && one_rotation_; }
+  bool hasProduct(double tolerance) const override;
   void product(const NodalField& u, NodalField& rounded, NodalField& out) override;
   bool improves() const override { return quadratic_ != nullptr; }
   int improve(const NodalField& r, double target, int max_iterations, NodalField& u) override;

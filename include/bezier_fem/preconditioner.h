@@ -40,8 +40,8 @@ public:
   /** z = about A^-1 r on the free components, 0 on the held ones. */
   virtual void apply(const NodalField& r, NodalField& z) = 0;
 
-  /** Whether product() can be asked. */
-  virtual bool hasProduct() const { return false; }
+  /** Whether product() can be asked, to begin with in a system that is to be solved to that tolerance. */
+  virtual bool hasProduct(double /*tolerance*/) const { return false; }
   /**
    * `rounded` = u, but for a translation in single precision, out = A `rounded` too, which takes a third of the time.
    * Elements see differences of it, which are exact: so errors are relative to how the body moves within itself, and to

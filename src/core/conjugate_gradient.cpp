@@ -73,7 +73,7 @@ void ConjugateGradient::start(const SystemOperator& system, const Partition& par
 {
   u.setZero();
   product_known_ = false;
-  product_rough_ = rough && rough->hasProduct();
+  product_rough_ = rough != nullptr;
   if (count == 0) return;
   // The last one, and the extrapolation from all: a third direction saves less than its product costs.
   const int directions = std::min(count, 2);

@@ -1,6 +1,7 @@
 #include "linear_solve.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "bezier_fem/p_multigrid.h"
 #include "direct_preconditioner.h"
@@ -126,7 +127,9 @@ SolveReport solvePreconditioned(const Model& model, const StepSettings& settings
       if (!started)
       {
         started = true;
-        start(w.preconditioner_failed || likeness == Likeness::LIKE ? nullptr : w.preconditioner.get());
+        const bool rough =
+            !w.preconditioner_failed && likeness == Likeness::SAME && w.preconditioner->hasProduct(tolerance);
+        start(rough ? w.preconditioner.get() : nullptr);
       }
       if (w.preconditioner_failed)
       {
@@ -134,9 +137,20 @@ SolveReport solvePreconditioned(const Model& model, const StepSettings& settings
         solve(nullptr, max_iterations - iterations);
         break;
       }
-      const int patience = w.preconditioner->patience();
+      // That of systems like it is counted in iterations a digit.
+      const int patience = likeness == Likeness::SAME ? w.preconditioner->patience() : max_iterations + 1;
       solve(w.preconditioner.get(), std::min(max_iterations - iterations, patience));
-      w.preconditioner->took(solved.iterations);
+      if (likeness == Likeness::SAME)
+      {
+        w.preconditioner->took(solved.iterations);
+      }
+      else if (at_once && solved.converged)
+      {
+        // Newton's systems are solved to another tolerance each time.
+        const double before = w.solver.relativeNorm(w.partition, w.rhs, w.rhs);
+        const double digits = std::max(1.0, std::log10(before / solved.residual));
+        w.preconditioner->took(static_cast<int>(std::lround(solved.iterations / digits)));
+      }
       again = !solved.converged && solved.iterations == patience && iterations < max_iterations;
     }
   }

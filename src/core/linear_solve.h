@@ -29,7 +29,7 @@ using Start = std::function<void(Preconditioner*)>;
 enum class Likeness
 {
   SAME,
-  LIKE  // near enough for what is made of it to precondition the system
+  LIKE  // near enough for what is made of it to precondition the system, which is solved from zero
 };
 
 /**
@@ -37,7 +37,7 @@ enum class Likeness
  * alpha M + beta K'; workspace.solver is prepared for the system. `auto` begins with the diagonal blocks and goes on
  * with multigrid where these take long, from then on at once; systems that always stay the same it factors, unless they
  * are large.
- * @param start   sets workspace.change to begin with; is given a preconditioner of the same system, if there is one yet
+ * @param start   sets workspace.change to begin with; is given what has products of the same system, or null
  * @param report  its iterations and preconditioner are brought up to date
  */
 SolveReport solvePreconditioned(const Model& model, const StepSettings& settings, const Supports& supports,
