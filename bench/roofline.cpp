@@ -302,10 +302,16 @@ struct SingleData
     ends.resize(2 * nodes);
     for (int block = 0; block < model.num_blocks; ++block)
     {
-      const int* of = model.block_nodes.data() + static_cast<std::ptrdiff_t>(block) * QUADRATIC_NODES * LANES;
-      for (int k = 0; k < CORNERS * LANES; ++k) corner_gather.push_back(vertex[of[k]]);
+      const int* of = model.block_offsets.data() + static_cast<std::ptrdiff_t>(block) * QUADRATIC_NODES * LANES;
+      for (int k = 0; k < CORNERS * LANES; ++k) corner_gather.push_back(4 * vertex[of[k] / 4]);
     }
-    elements = {model.block_nodes.data(), corner_gather.data(), rotated.data(), coefficients.data(), nullptr, true};
+    elements = {model.block_offsets.data(),
+                corner_gather.data(),
+                model.block_pairing.data(),
+                rotated.data(),
+                coefficients.data(),
+                nullptr,
+                true};
     smoothed = elements;
     smoothed.mass = false;
     mass.assign(nodes, 1e-3f);

@@ -16,8 +16,9 @@ constexpr int LANES = 16;
 
 /**
  * A body at rest: geometry, material and numbering. Does not change while it is simulated, except for its material
- * (setMaterials()). Elements are in the order of a recursive bisection of the body and control points near their
- * elements, corners among edges, so that neighbours in space are neighbours in memory. "Node" is short for control
+ * (setMaterials()). Elements are in the order of a recursive bisection of the body, most of them side by side with one
+ * that they share a face with, and control points near their elements, corners among edges: so neighbours in space are
+ * neighbours in memory. "Node" is short for control
  * point.
  */
 struct Model
@@ -51,11 +52,13 @@ struct Model
   // The same in blocks of LANES elements, for the kernels. The last block is filled up with copies of the last
   // element whose coefficients are zero.
   int num_blocks = 0;
-  AlignedVector<int> block_nodes;            // [block][nodes_per_tet][LANES]
+  std::vector<std::uint8_t> block_pairing;   // [block]: kernels::Pairing
+  AlignedVector<int> block_offsets;          // [block][nodes_per_tet][LANES]: 4 times the node
   AlignedVector<double> block_gradients;     // [block][9][LANES], g_1 g_2 g_3, 1/m
   AlignedVector<double> block_coefficients;  // [block][3][LANES]: V lambda_L, V mu (Pa m^3), V rho (kg)
-  // Where elements leave what they add to a node (kernels.h, NodeShares)
-  std::vector<int> share_begin, share_slots;
+  // Where elements leave what they add to a node (kernels.h, NodeShares), the two of a pair together; and of diagonal
+  // blocks, where every element is by itself
+  std::vector<int> share_begin, share_slots, diagonal_begin, diagonal_slots;
   AlignedVector<double> block_mean;  // [block][LANES]: V meanLambda() (Pa m^3); empty where all are zero
 
   // The largest of the elements': V rho (kg), V (lambda_L + 2 mu) times the largest |g_i|^2, i > 0 (N/m),

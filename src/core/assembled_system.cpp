@@ -15,8 +15,10 @@ struct AssembledSystem::ByProducts
       : matrices(model), assembler(model, pattern, Traversal::MESH_ORIENTED)
   {
     const int n = model.nodes_per_tet;
-    own_nodes.resize(model.block_nodes.size());
-    for (std::size_t k = 0; k < own_nodes.size(); ++k) own_nodes[k] = static_cast<int>(k % (std::size_t{LANES} * n));
+    alone.assign(model.num_blocks, kernels::ALONE);
+    own_offsets.resize(model.block_offsets.size());
+    for (std::size_t k = 0; k < own_offsets.size(); ++k)
+      own_offsets[k] = static_cast<int>(4 * (k % (std::size_t{LANES} * n)));
   }
 
   /**
@@ -27,7 +29,8 @@ struct AssembledSystem::ByProducts
   void fill(const Model& model, const Partition& partition, int points, const AddProduct& add_product)
   {
     const int n = model.nodes_per_tet, rows = n * LANES;
-    const kernels::Elements elements{n, points, own_nodes.data(), model.block_coefficients.data(), meanOf(model)};
+    const kernels::Elements elements{
+        n, points, own_offsets.data(), alone.data(), model.block_coefficients.data(), meanOf(model)};
     double* shares = partition.shares() + kernels::ZERO_ROWS * kernels::SHARES;
     forEachPiece(partition, [&](int thread) {
       NodalField u(rows);
@@ -55,7 +58,8 @@ struct AssembledSystem::ByProducts
 
   ElementMatrices matrices;
   Assembler assembler;
-  AlignedVector<int> own_nodes;  // like Model::block_nodes, numbered within each block
+  std::vector<std::uint8_t> alone;
+  AlignedVector<int> own_offsets;  // like Model::block_offsets, numbered within each block
 };
 
 AssembledSystem::AssembledSystem(const Model& model, const Partition& partition)

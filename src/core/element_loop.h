@@ -18,12 +18,22 @@ inline const double* meanOf(const Model& model)
 /** @param points  rotations an element */
 inline kernels::Elements elementsOf(const Model& model, int points)
 {
-  return {model.nodes_per_tet, points, model.block_nodes.data(), model.block_coefficients.data(), meanOf(model)};
+  return {model.nodes_per_tet,
+          points,
+          model.block_offsets.data(),
+          model.block_pairing.data(),
+          model.block_coefficients.data(),
+          meanOf(model)};
 }
 
 inline kernels::NodeShares sharesOf(const Model& model)
 {
   return {model.share_begin.data(), model.share_slots.data()};
+}
+
+inline kernels::NodeShares diagonalSharesOf(const Model& model)
+{
+  return {model.diagonal_begin.data(), model.diagonal_slots.data()};
 }
 
 /** Runs loop(elements, begin, end, shares) on blocks of elements, then sums the shares up to out. */
@@ -48,8 +58,8 @@ void accumulateDiagonal(const Model& model, const Partition& partition, int poin
          partition.shares() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
   });
   forEachPiece(partition, [&](int t) {
-    kernels::table().sum_diagonals(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), partition.shares(),
-                                   out);
+    kernels::table().sum_diagonals(diagonalSharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t),
+                                   partition.shares(), out);
   });
 }
 
@@ -65,8 +75,8 @@ void accumulateSingleDiagonal(const Model& model, const Partition& partition, in
          shares + 2 * kernels::ZERO_ROWS * kernels::SHARES);
   });
   forEachPiece(partition, [&](int t) {
-    kernels::table().sum_single_diagonals(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), shares, factor,
-                                          out);
+    kernels::table().sum_single_diagonals(diagonalSharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), shares,
+                                          factor, out);
   });
 }
 

@@ -28,9 +28,7 @@ void greenForce(const Model& model, const Partition& partition, const NodalField
 
 double greenEnergy(const Model& model, const NodalField& x)
 {
-  const kernels::Elements elements{model.nodes_per_tet, 1, model.block_nodes.data(), model.block_coefficients.data(),
-                                   nullptr};
-  return kernel(model).energy(elements, 0, model.num_blocks, model.block_gradients.data(), x.data());
+  return kernel(model).energy(elementsOf(model, 1), 0, model.num_blocks, model.block_gradients.data(), x.data());
 }
 
 GreenTangent::GreenTangent(const Model& model)

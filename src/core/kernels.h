@@ -45,13 +45,27 @@ constexpr int PRODUCTS_STRIDE = 120;
 /** Lists of what to fetch soon end with so many marks more. */
 constexpr int READ_AHEAD = 16;
 
+/**
+ * Most blocks of elements come by twos, of which the second one's elements each share a face with the first one's in
+ * the same lane: that opposite to corner 0 of both. Corners 1, 2, 3 of the one are 1, 3, 2 of the other.
+ */
+enum Pairing : unsigned char
+{
+  ALONE,
+  FIRST,
+  SECOND
+};
+/** Of an element's nodes those of the face opposite to corner 0: which of them they are to the element across it. */
+constexpr int ACROSS[10] = {-1, 1, 3, 2, -1, -1, -1, 8, 7, 9};
+
 struct Elements
 {
-  int nodes_per_tet;           // 4 or 10
-  int points;                  // rotations an element: 1, or 4 of a quadratic one
-  const int* gather;           // [block][node][LANES]: where a node's value is read
-  const double* coefficients;  // [block][3][LANES]: V lambda_L, V mu, V rho
-  const double* mean;          // [block][LANES]: V times the part of lambda_L that acts on the mean dilatation, or null
+  int nodes_per_tet;             // 4 or 10
+  int points;                    // rotations an element: 1, or 4 of a quadratic one
+  const int* gather;             // [block][node][LANES]: where the numbers of a node begin, 4 times the node
+  const unsigned char* pairing;  // of each block
+  const double* coefficients;    // [block][3][LANES]: V lambda_L, V mu, V rho
+  const double* mean;  // [block][LANES]: V times the part of lambda_L that acts on the mean dilatation, or null
 };
 
 /**
@@ -60,8 +74,9 @@ struct Elements
  */
 struct SingleElements
 {
-  const int* gather;          // [block][10][LANES]
-  const int* corner_gather;   // [block][4][LANES]
+  const int* gather;         // [block][10][LANES], and
+  const int* corner_gather;  // [block][4][LANES]: like Elements::gather
+  const unsigned char* pairing;
   const float* rotated;       // [block][9][LANES]
   const float* coefficients;  // [block][3][LANES]: beta V lambda_L, beta V mu, alpha V rho
   const float* mean;          // [block][LANES]: beta times Elements::mean, or null

@@ -50,6 +50,14 @@ inline void store(float* p, SingleVec v)
 {
   *reinterpret_cast<SingleVec*>(p) = v;
 }
+inline Node nodeAt(const double* p)
+{
+  return *reinterpret_cast<const Node*>(p);
+}
+inline SingleNode nodeAt(const float* p)
+{
+  return *reinterpret_cast<const SingleNode*>(p);
+}
 inline Node loadNode(const double* base, int node)
 {
   return *reinterpret_cast<const Node*>(base + 4L * node);
@@ -101,24 +109,27 @@ inline Vec3Of<V> operator*(V s, const Vec3Of<V>& a)
   return {s * a.x, s * a.y, s * a.z};
 }
 
-/** The values of WIDTH nodes, one a lane: a transpose from x, y, z, 0 in memory to three registers. */
+/**
+ * The values of WIDTH nodes, one a lane: a transpose from x, y, z, 0 in memory to three registers.
+ * @param nodes  where the numbers of each begin
+ */
 ALWAYS_INLINE Vec3 gather(const double* base, const int* nodes)
 {
 #if WIDTH == 2
-  const Vec a = load(base + 4L * nodes[0]), b = load(base + 4L * nodes[1]);
+  const Vec a = load(base + nodes[0]), b = load(base + nodes[1]);
   return {__builtin_shufflevector(a, b, 0, 2), __builtin_shufflevector(a, b, 1, 3),
-          Vec{base[4L * nodes[0] + 2], base[4L * nodes[1] + 2]}};
+          Vec{base[nodes[0] + 2], base[nodes[1] + 2]}};
 #else
 #if WIDTH == 4
-  const Vec a = loadNode(base, nodes[0]), b = loadNode(base, nodes[1]);
-  const Vec c = loadNode(base, nodes[2]), d = loadNode(base, nodes[3]);
+  const Vec a = nodeAt(base + nodes[0]), b = nodeAt(base + nodes[1]);
+  const Vec c = nodeAt(base + nodes[2]), d = nodeAt(base + nodes[3]);
   const Vec ab_xz = __builtin_shufflevector(a, b, 0, 4, 2, 6), ab_y = __builtin_shufflevector(a, b, 1, 5, 3, 7);
   const Vec cd_xz = __builtin_shufflevector(c, d, 0, 4, 2, 6), cd_y = __builtin_shufflevector(c, d, 1, 5, 3, 7);
   return {__builtin_shufflevector(ab_xz, cd_xz, 0, 1, 4, 5), __builtin_shufflevector(ab_y, cd_y, 0, 1, 4, 5),
           __builtin_shufflevector(ab_xz, cd_xz, 2, 3, 6, 7)};
 #else
   const auto pair = [&](int k) {
-    return __builtin_shufflevector(loadNode(base, nodes[k]), loadNode(base, nodes[k + 4]), 0, 1, 2, 3, 4, 5, 6, 7);
+    return __builtin_shufflevector(nodeAt(base + nodes[k]), nodeAt(base + nodes[k + 4]), 0, 1, 2, 3, 4, 5, 6, 7);
   };
   const Vec a = pair(0), b = pair(1), c = pair(2), d = pair(3);
   const Vec ab_xz = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
@@ -172,20 +183,21 @@ ALWAYS_INLINE void transpose(const Vec3& v, Vec* rows)
                           UP(j) + 8, UP(k) + 8, UP(l) + 8, UP(i) + 12, UP(j) + 12, UP(k) + 12, UP(l) + 12)
 #endif
 
-/** Nodes q, q + 4, ... of a list side by side. */
+/** Nodes q, q + 4, ... of a list of where their numbers begin, side by side. */
 ALWAYS_INLINE SingleVec loadEveryFourth(const float* base, const int* nodes)
 {
 #if WIDTH == 2
-  return loadNode(base, nodes[0]);
+  return nodeAt(base + nodes[0]);
 #else
-  const SingleNode a = loadNode(base, nodes[0]), b = loadNode(base, nodes[4]);
-  const auto ab = __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7);
 #if WIDTH == 4
-  return ab;
+  const SingleNode a = nodeAt(base + nodes[0]), b = nodeAt(base + nodes[4]);
+  return __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7);
 #else
-  const SingleNode c = loadNode(base, nodes[8]), d = loadNode(base, nodes[12]);
-  const auto cd = __builtin_shufflevector(c, d, 0, 1, 2, 3, 4, 5, 6, 7);
-  return __builtin_shufflevector(ab, cd, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  // GCC would shuffle whole registers, which takes a tenth more of a product's time.
+  const auto pair = [&](int k) INLINED {
+    return _mm256_insertf128_ps(_mm256_castps128_ps256(nodeAt(base + nodes[k])), nodeAt(base + nodes[k + 4]), 1);
+  };
+  return _mm512_insertf32x8(_mm512_castps256_ps512(pair(0)), pair(8), 1);
 #endif
 #endif
 }
@@ -380,14 +392,6 @@ ALWAYS_INLINE void unrolled(const F& f)
   unrolled(f, std::make_integer_sequence<int, N>{});
 }
 
-/** f + m v */
-template <class V>
-ALWAYS_INLINE Vec3Of<V> plusTimes(const Vec3Of<V>& f, const SymOf<V>& m, const Vec3Of<V>& v)
-{
-  return {f.x + m.xx * v.x + m.xy * v.y + m.xz * v.z, f.y + m.xy * v.x + m.yy * v.y + m.yz * v.z,
-          f.z + m.xz * v.x + m.yz * v.y + m.zz * v.z};
-}
-
 /**
  * K' u (identity = 0), or the elastic force of positions u (identity = 1); lambda and mu times V. The part `mean` of
  * lambda acts on the element's mean dilatation, the rest at every point.
@@ -436,16 +440,22 @@ ALWAYS_INLINE void elasticForce(const Scalar* rotated, const In& in, double iden
     q1 = q1 + sum;
     q2 = q2 + sum;
     q3 = q3 + sum;
-    give(0, q0 * g.r[0]);
-    give(4, plusTimes(q0 * g.r[1], q1, g.r[0]));
-    give(5, plusTimes(q0 * g.r[2], q2, g.r[0]));
-    give(6, plusTimes(q0 * g.r[3], q3, g.r[0]));
-    give(1, q1 * g.r[1]);
-    give(7, plusTimes(q1 * g.r[2], q2, g.r[1]));
-    give(8, plusTimes(q1 * g.r[3], q3, g.r[1]));
-    give(2, q2 * g.r[2]);
-    give(9, plusTimes(q2 * g.r[3], q3, g.r[2]));
-    give(3, q3 * g.r[3]);
+    // What goes to (a,b) is Q_a g_b + Q_b g_a, and the sum of all g_b is zero.
+    const Vec3Of<V> zero = {};
+    const Vec3Of<V> f01 = q0 * g.r[1], f02 = q0 * g.r[2], f03 = q0 * g.r[3];
+    give(0, zero - f01 - (f02 + f03));
+    const Vec3Of<V> f11 = q1 * g.r[1], f12 = q1 * g.r[2], f13 = q1 * g.r[3];
+    give(1, f11);
+    give(4, f01 - f11 - (f12 + f13));
+    const Vec3Of<V> f21 = q2 * g.r[1], f22 = q2 * g.r[2], f23 = q2 * g.r[3];
+    give(2, f22);
+    give(5, f02 - f21 - (f22 + f23));
+    give(7, f12 + f21);
+    const Vec3Of<V> f31 = q3 * g.r[1], f32 = q3 * g.r[2], f33 = q3 * g.r[3];
+    give(3, f33);
+    give(6, f03 - f31 - (f32 + f33));
+    give(8, f13 + f31);
+    give(9, f23 + f32);
   }
   else
   {

@@ -146,6 +146,19 @@ inline void gatherNodes(const double* x, const int* nodes, Vec3* values)
   for (int k = 0; k < NODES; ++k) values[k] = gather(x, nodes + static_cast<long>(k) * LANES);
 }
 
+/** Calls f(block, first lane, u, shares) for each register of elements: what of x its nodes have, and what they get. */
+template <int NODES, class F>
+inline void forEachGreen(const Elements& elements, int begin, int end, const double* x, double* shares, const F& f)
+{
+  forEachElement<Vec, NODES, NODES>(elements.pairing, elements.gather, begin, end, x, shares,
+                                    [&](long block, int part, const auto& in, const auto& give) {
+                                      Vec3 u[NODES], out[NODES];
+                                      unrolled<NODES>([&](auto k) { u[k] = in(k); });
+                                      f(block, part, u, out);
+                                      unrolled<NODES>([&](auto k) { give(k, out[k]); });
+                                    });
+}
+
 /** T_ab of the strain of the gradients f (linear elements: S), for lambda and mu times V. */
 template <int NODES>
 inline void stressIntegrals(const Mat* f, Vec lambda, Vec mu, Sym* t)
@@ -167,11 +180,9 @@ template <int NODES>
 void addGreenForce(const Elements& elements, int begin, int end, const double* rest, const double* x, double* shares)
 {
   constexpr int CORNERS = Green<NODES>::GRADIENTS;
-  forEachRegister<NODES>(begin, end, [&](long at, long block, int part) {
+  forEachGreen<NODES>(elements, begin, end, x, shares, [&](long block, int part, const Vec3* in, Vec3* out) {
     const double* c = elements.coefficients + 3 * block * LANES + part;
     const RotatedGradients g = basisGradients<NODES>(rest + 9 * block * LANES + part);
-    Vec3 in[NODES], out[NODES];
-    gatherNodes<NODES>(x, elements.gather + at, in);
     Mat f[CORNERS], q[CORNERS];
     Sym t[Green<NODES>::PAIRS];
     gradients<NODES>(g, in, f);
@@ -182,7 +193,6 @@ void addGreenForce(const Elements& elements, int begin, int end, const double* r
       for (int b = 0; b < CORNERS; ++b) addTimes(q[a], f[b], t[POINT[a][b]]);
     }
     nodalForces<NODES>(g, q, out);
-    for (int k = 0; k < NODES; ++k) storeShares(shares + SHARES * (NODES * block + k), part, out[k]);
   });
 }
 
@@ -402,11 +412,9 @@ void addGreenProduct(const Elements& elements, int begin, int end, const double*
                      double alpha, double beta, const double* u, double* shares)
 {
   using G = Green<NODES>;
-  forEachRegister<NODES>(begin, end, [&](long at, long block, int part) {
+  forEachGreen<NODES>(elements, begin, end, u, shares, [&](long block, int part, const Vec3* in, Vec3* out) {
     const double* c = elements.coefficients + 3 * block * LANES + part;
     const RotatedGradients g = basisGradients<NODES>(rest + 9 * block * LANES + part);
-    Vec3 in[NODES], out[NODES];
-    gatherNodes<NODES>(u, elements.gather + at, in);
     Mat f[G::GRADIENTS], df[G::GRADIENTS], q[G::GRADIENTS];
     Sym t[G::PAIRS], dt[G::PAIRS];
     loadTangent<NODES>(tangent + block * G::SIZE * LANES + part, f, t);
@@ -442,7 +450,6 @@ void addGreenProduct(const Elements& elements, int begin, int end, const double*
     }
     nodalForces<NODES>(g, q, out);
     addMass<NODES>(in, alpha * load(c + 2L * LANES), out);
-    for (int k = 0; k < NODES; ++k) storeShares(shares + SHARES * (NODES * block + k), part, out[k]);
   });
 }
 

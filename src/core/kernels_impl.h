@@ -1,5 +1,9 @@
 // The kernels of kernels.h for registers of WIDTH doubles. Included by one .cpp an instruction set, which defines
 // WIDTH and TABLE; nothing with external linkage but that table may be defined here.
+#if WIDTH == 8
+#include <immintrin.h>  // nothing but what is inlined always
+#endif
+
 #include <type_traits>
 #include <utility>
 
@@ -18,53 +22,96 @@ namespace
 #include "kernels_element_impl.h"
 
 /**
- * Calls element(block, part, rotated, in, lambda, mu, mass, mean) for registers of elements, of which in(k) gathers the
- * nodes k.
+ * Calls run(block, part, in, give) for registers of elements, of which in(k) gathers the nodes k and give(k, f) stores
+ * the shares of nodes k. What a pair has in common is gathered by the first one, and stored by the second one for both,
+ * which spares three tenths of gathering, of storing, and of summing up later.
+ * @param list  [block][IN][LANES]: where the numbers of nodes, or of corners, begin
  */
-template <int NODES, bool MEAN, class Element>
-ALWAYS_INLINE void forElements(const Elements& elements, int begin, int end, const double* rotated, const double* x,
-                               const Element& element)
+template <class V, int IN, int OUT, class Scalar, class Run>
+ALWAYS_INLINE void forEachElement(const unsigned char* pairing, const int* list, int begin, int end, const Scalar* x,
+                                  Scalar* shares, const Run& run)
 {
-  for (int block = begin; block < end; ++block)
+  for (long block = begin; block < end; block += pairing[block] == ALONE ? 1 : 2)
   {
-    for (int part = 0; part < LANES; part += WIDTH)
+    for (int part = 0; part < LANES; part += static_cast<int>(sizeof(V) / sizeof(Scalar)))
     {
-      const int* nodes = elements.gather + static_cast<long>(block) * NODES * LANES + part;
-      const double* c = elements.coefficients + 3L * block * LANES + part;
-      Vec mean = Vec{};
-      if constexpr (MEAN) mean = load(elements.mean + static_cast<long>(block) * LANES + part);
-      element(
-          block, part, rotated + static_cast<long>(block) * elements.points * 9 * LANES + part,
-          [&](int k) INLINED { return gather(x, nodes + static_cast<long>(k) * LANES); }, load(c), load(c + LANES),
-          load(c + 2L * LANES), mean);
+      const int* from = list + block * IN * LANES + part;
+      Scalar* to = shares + SHARES * OUT * block;
+      const auto read = [&](int k) INLINED { return gather(x, from + static_cast<long>(k) * LANES); };
+      const auto write = [&](int k, const Vec3Of<V>& f) INLINED { storeShares(to + SHARES * k, part, f); };
+      if (pairing[block] == ALONE)
+      {
+        run(block, part, read, write);
+        continue;
+      }
+      Vec3Of<V> u[IN], half[OUT];
+      run(
+          block, part,
+          [&](int k) INLINED {
+            const Vec3Of<V> v = read(k);
+            if (ACROSS[k] >= 0) u[k] = v;
+            return v;
+          },
+          [&](int k, const Vec3Of<V>& f) INLINED {
+            if (ACROSS[k] >= 0)
+            {
+              half[k] = f;
+            }
+            else
+            {
+              write(k, f);
+            }
+          });
+      run(
+          block + 1, part, [&](int k) INLINED { return ACROSS[k] >= 0 ? u[ACROSS[k]] : read(IN + k); },
+          [&](int k, const Vec3Of<V>& f) INLINED {
+            if (ACROSS[k] >= 0)
+            {
+              write(ACROSS[k], half[ACROSS[k]] + f);
+            }
+            else
+            {
+              write(OUT + k, f);
+            }
+          });
     }
   }
+}
+
+/** Calls element(block, part, rotated, lambda, mu, mass, mean, in, give) likewise. */
+template <int NODES, bool MEAN, class Element>
+ALWAYS_INLINE void forElements(const Elements& elements, int begin, int end, const double* rotated, const double* x,
+                               double* shares, const Element& element)
+{
+  forEachElement<Vec, NODES, NODES>(elements.pairing, elements.gather, begin, end, x, shares,
+                                    [&](long block, int part, const auto& in, const auto& give) INLINED {
+                                      const double* c = elements.coefficients + 3 * block * LANES + part;
+                                      Vec mean = Vec{};
+                                      if constexpr (MEAN) mean = load(elements.mean + block * LANES + part);
+                                      element(block, part, rotated + block * elements.points * 9 * LANES + part,
+                                              load(c), load(c + LANES), load(c + 2L * LANES), mean, in, give);
+                                    });
 }
 
 template <int NODES, int POINTS, bool MEAN>
 void addProduct(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                 const double* u, double* shares)
 {
-  forElements<NODES, MEAN>(
-      elements, begin, end, rotated, u,
-      [&](int block, int part, const double* g, const auto& in, Vec lambda, Vec mu, Vec mass, Vec mean) INLINED {
-        double* rows = shares + SHARES * NODES * block;
-        systemForce<NODES, POINTS, MEAN>(g, in, beta * lambda, beta * mu, beta * mean, alpha * mass,
-                                         [&](int k, const Vec3& f)
-                                             INLINED { storeShares(rows + SHARES * k, part, f); });
-      });
+  forElements<NODES, MEAN>(elements, begin, end, rotated, u, shares,
+                           [&](long /*block*/, int /*part*/, const double* g, Vec lambda, Vec mu, Vec mass, Vec mean,
+                               const auto& in, const auto& give) INLINED {
+                             systemForce<NODES, POINTS, MEAN>(g, in, beta * lambda, beta * mu, beta * mean,
+                                                              alpha * mass, give);
+                           });
 }
 
 template <int NODES, int POINTS, bool MEAN>
 void addForce(const Elements& elements, int begin, int end, const double* rotated, const double* x, double* shares)
 {
-  forElements<NODES, MEAN>(
-      elements, begin, end, rotated, x,
-      [&](int block, int part, const double* g, const auto& in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean) INLINED {
-        double* rows = shares + SHARES * NODES * block;
-        elasticForce<NODES, POINTS, MEAN>(
-            g, in, 1, lambda, mu, mean, [&](int k, const Vec3& f) INLINED { storeShares(rows + SHARES * k, part, f); });
-      });
+  forElements<NODES, MEAN>(elements, begin, end, rotated, x, shares,
+                           [&](long /*block*/, int /*part*/, const double* g, Vec lambda, Vec mu, Vec /*mass*/,
+                               Vec mean, const auto& in, const auto& give)
+                               INLINED { elasticForce<NODES, POINTS, MEAN>(g, in, 1, lambda, mu, mean, give); });
 }
 
 template <int NODES, int POINTS, bool MEAN>
@@ -72,24 +119,24 @@ void turnWork(const Elements& elements, int begin, int end, const double* before
               const double* d, double* sums)
 {
   for (int block = begin; block < end; ++block) sums[block] = 0;
-  forElements<NODES, MEAN>(
-      elements, begin, end, before, x,
-      [&](int block, int part, const double* g, const auto& in, Vec lambda, Vec mu, Vec /*mass*/, Vec mean) INLINED {
-        const int* nodes = elements.gather + static_cast<long>(block) * NODES * LANES + part;
-        Vec3 u[NODES], force[NODES];
-        unrolled<NODES>([&](auto k) INLINED { u[k] = in(k); });
-        const auto known = [&](int k) INLINED { return u[k]; };
-        elasticForce<NODES, POINTS, MEAN>(g, known, 1, lambda, mu, mean,
-                                          [&](int k, const Vec3& f) INLINED { force[k] = f; });
-        Vec work = {};
-        elasticForce<NODES, POINTS, MEAN>(after + (g - before), known, 1, lambda, mu, mean,
-                                          [&](int k, const Vec3& f) INLINED {
-                                            const Vec3 more = f - force[k];
-                                            const Vec3 way = gather(d, nodes + static_cast<long>(k) * LANES);
-                                            work += more.x * way.x + more.y * way.y + more.z * way.z;
-                                          });
-        for (int lane = 0; lane < WIDTH; ++lane) sums[block] += work[lane];
-      });
+  forElements<NODES, MEAN>(elements, begin, end, before, x, sums,
+                           [&](long block, int part, const double* g, Vec lambda, Vec mu, Vec /*mass*/, Vec mean,
+                               const auto& in, const auto& /*give*/) INLINED {
+                             const int* nodes = elements.gather + block * NODES * LANES + part;
+                             Vec3 u[NODES], force[NODES];
+                             unrolled<NODES>([&](auto k) INLINED { u[k] = in(k); });
+                             const auto known = [&](int k) INLINED { return u[k]; };
+                             elasticForce<NODES, POINTS, MEAN>(g, known, 1, lambda, mu, mean,
+                                                               [&](int k, const Vec3& f) INLINED { force[k] = f; });
+                             Vec work = {};
+                             elasticForce<NODES, POINTS, MEAN>(
+                                 after + (g - before), known, 1, lambda, mu, mean, [&](int k, const Vec3& f) INLINED {
+                                   const Vec3 more = f - force[k];
+                                   const Vec3 way = gather(d, nodes + static_cast<long>(k) * LANES);
+                                   work += more.x * way.x + more.y * way.y + more.z * way.z;
+                                 });
+                             for (int lane = 0; lane < WIDTH; ++lane) sums[block] += work[lane];
+                           });
 }
 
 /** H_cd + H_dc over V, with H_cd = lambda c d^T + mu d c^T + mu (c.d) 1; H_cc + H_cc = 2 H_cc for c = d. */
@@ -512,8 +559,8 @@ ALWAYS_INLINE Vec invertBlocks(const unsigned char* held, const double* mass, do
   int diagonal[WIDTH], others[WIDTH];
   for (int k = 0; k < WIDTH; ++k)
   {
-    diagonal[k] = 2 * k;
-    others[k] = 2 * k + 1;
+    diagonal[k] = DIAGONAL_STRIDE * k;
+    others[k] = DIAGONAL_STRIDE * k + 4;
   }
   const Vec3 on = gather(blocks, diagonal), off = gather(blocks, others);
   // What is held has a row and a column of the unit matrix.

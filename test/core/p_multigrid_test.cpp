@@ -176,7 +176,7 @@ TEST_P(Multigrid, SeesASmallSoftPartInWhichTheMassPrevails)
   for (int t = 0; t < model.num_tets; ++t)
   {
     Vector3d centre = Vector3d::Zero();
-    for (int a = 0; a < CORNERS; ++a) centre += model.rest[model.nodesOf(t)[a]] / CORNERS;
+    for (int a = 0; a < CORNERS; ++a) centre += model.rest[model.nodesOf(model.tet_of_mesh_tet[t])[a]] / CORNERS;
     if (centre.z() > 0.9) materials[t].young /= 1000;
   }
   setMaterials(model, materials);
