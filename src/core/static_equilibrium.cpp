@@ -103,20 +103,14 @@ StepReport greenEquilibrium(const Model& model, const StepSettings& settings, co
   }
   w.balance.matrix() = m.gradient.matrix();
   report.inverted = invertedElements(model, state.x);
-  state.v.setZero();
-  w.forgetHistory();
   return report;
 }
-}  // namespace
 
-StepReport solveStatic(const Model& model, const StepSettings& settings, const Supports& supports,
-                       const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w,
-                       const std::function<void(int, double)>& progress)
+/** Linear and co-rotated elasticity: rounds of linear systems, each with the rotations held. */
+StepReport laggedEquilibrium(const Model& model, const StepSettings& settings, const Supports& supports,
+                             const std::vector<AppliedLoad>& loads, const NodalField& external, State& state,
+                             Workspace& w, const std::function<void(int, double)>& progress)
 {
-  if (settings.elasticity == Elasticity::GREEN)
-  {
-    return greenEquilibrium(model, settings, supports, loads, external, state, w, progress);
-  }
   constexpr int MAX_ROUNDS = 300, MAX_TRIALS = 10;
   // Linear: one system, so its residual has to be small enough at once. Co-rotated: K' is not the derivative of the
   // force, so a round gains two digits at best.
@@ -180,8 +174,18 @@ StepReport solveStatic(const Model& model, const StepSettings& settings, const S
     if (!linear) std::swap(state.rotations, w.candidate);
   }
   w.balance.matrix() = -w.rhs.matrix();
+  return report;
+}
+}  // namespace
+
+StepReport solveStatic(const Model& model, const StepSettings& settings, const Supports& supports,
+                       const std::vector<AppliedLoad>& loads, const NodalField& external, State& state, Workspace& w,
+                       const std::function<void(int, double)>& progress)
+{
+  const auto solve = settings.elasticity == Elasticity::GREEN ? greenEquilibrium : laggedEquilibrium;
+  const StepReport report = solve(model, settings, supports, loads, external, state, w, progress);
   state.v.setZero();
-  w.forgetHistory();
+  w.forgetHistory();  // Newton's memory too: here, where nothing refers to it any more
   return report;
 }
 
