@@ -36,7 +36,7 @@ enum class Likeness
  * Solves a system for workspace.change, of workspace.rhs, with the preconditioner that the settings ask for, made of
  * alpha M + beta K'; workspace.solver is prepared for the system. `auto` begins with the diagonal blocks and goes on
  * with multigrid where these take long, from then on at once; systems that always stay the same it factors, unless they
- * are large.
+ * are large. Where the diagonal blocks meet a direction of negative curvature, what they have reached is the result.
  * @param start   sets workspace.change to begin with; is given what has products of the same system, or null
  * @param report  its iterations and preconditioner are brought up to date
  */

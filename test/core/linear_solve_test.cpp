@@ -480,6 +480,51 @@ TEST(LinearSolve, AFactorIsRenewedWhenExcessIterationsHavePaidForIt)
   EXPECT_FALSE(factor.valid());
 }
 
+TEST(LinearSolve, NegativeCurvatureEndsASolveThatOtherwiseGoesOnWithMultigrid)
+{
+  // A slender bar squeezed along its axis: its own tangent has directions along which it buckles. What the diagonal
+  // blocks have reached until one is met leads downhill, which is all that Newton's method asks for. Its residual is
+  // larger than that of zero, from where multigrid would begin, and with multigrid the first direction is such a one.
+  const StepSettings settings = settingsOf(Elasticity::GREEN, Kind::AUTO);
+  const Model model = test::boxModel(test::kuhnBox({1, 1, 6}, {0.1, 0.1, 1}), Element::QUADRATIC);
+  const Supports supports = test::holdNothing(model);
+  NodalField x = model.rest;
+  x.matrix().row(2) *= 0.9;
+  constexpr double ALPHA = 1e-3, BETA = 1, TOLERANCE = 1e-8;
+  for (const Projection projection : {Projection::NONE, Projection::POSITIVE_STRESS})
+  {
+    const bool indefinite = projection == Projection::NONE;
+    for (const Serves serves : {Serves::ONCE, Serves::SAME_COEFFICIENTS})
+    {
+      Workspace w(model, settings, 1);
+      GreenTangent tangent(model);
+      linearise(model, w.partition, x, projection, tangent);
+      const MatrixFreeSystem<GreenTangent> system(model, w.partition, tangent, ALPHA, BETA);
+      ASSERT_TRUE(w.solver.prepare(system, model, w.partition, supports.held, 0));
+      w.rhs = test::randomField(model.num_nodes, 4);
+      NodalField expected(model.num_nodes);
+      const SolveReport plain = w.solver.solve(system, w.partition, w.rhs, expected, TOLERANCE, 5000);
+
+      StepReport report;
+      w.change.setZero();
+      const SolveReport solved = solvePreconditioned(
+          model, settings, supports, restRotations(model), Likeness::LIKE, system, ALPHA, BETA, TOLERANCE, 5000, serves,
+          [](Preconditioner*) {}, w, report);
+      EXPECT_EQ(solved.indefinite, indefinite);
+      EXPECT_EQ(solved.converged, !indefinite);
+      EXPECT_EQ(solved.iterations, report.iterations);
+      EXPECT_EQ(report.preconditioner, indefinite ? Kind::BLOCK_JACOBI : Kind::PMULTIGRID);
+      EXPECT_EQ(w.preconditioner == nullptr, indefinite);
+      EXPECT_GT(w.change.matrix().cwiseProduct(w.rhs.matrix()).sum(), 0);
+      if (indefinite)
+      {
+        EXPECT_EQ(solved.iterations, plain.iterations);
+        EXPECT_EQ((w.change.matrix() - expected.matrix()).cwiseAbs().maxCoeff(), 0);
+      }
+    }
+  }
+}
+
 class Turned : public testing::TestWithParam<TurnedInverse::Form>
 {
 };
