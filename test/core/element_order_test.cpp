@@ -155,8 +155,8 @@ TEST(ElementOrder, HalvesShareFewNodes)
       if (t >= middle && before.count(node) != 0) common.insert(node);
     }
   }
-  // A plane of corners and edges has 13 x 13 nodes.
-  EXPECT_LT(common.size(), 3 * 13 * 13);
+  // A plane of corners and edges has 13 x 13 nodes. Pairs across it would make it ragged.
+  EXPECT_LT(common.size(), 1.5 * 13 * 13);
 }
 
 TEST(ElementOrder, NobodyGetsHalfAPair)
