@@ -4,6 +4,7 @@
 // thread, with the kernels' instruction set; and in products of an assembled matrix of the same model (yardstick.h).
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <cstdio>
 #include <functional>
 #include <iostream>
@@ -132,15 +133,23 @@ constexpr int GRADIENT_0 = 6;
 constexpr int STRESS = 9 + 15 + 33 + 2 + 1 + 6 + 3;
 /** lambda/5, mu/5, 2 mu, four stresses, their sum, which goes to each of them: symmetric matrices of 6 numbers. */
 constexpr int STRESSES = 3 + 4 * STRESS + 3 * 6 + 4 * 6;
-/** Four corners q_a r_a; six edges q_a r_b + q_b r_a. */
-constexpr int FORCES = 4 * 15 + 6 * (2 * 15 + 3);
+/**
+ * q_a r_b of four corners a and three b, of which corners 1, 2, 3 take q_a r_a; corner 0 minus the sum of three; its
+ * edges one less the sum of three; the other edges q_a r_b + q_b r_a. Rotated gradients of corner 0 are not needed.
+ */
+constexpr int FORCES = 4 * 3 * 15 + 6 + 3 * 9 + 3 * 3;
 /** t_a of five nodes each; half their sum; that and t_a; for ten nodes t_b and u_ab added, scaled, added to the force.
  */
 constexpr int MASS = 4 * 4 * 3 + (9 + 3) + 4 * 3 + 10 * (3 + 3 + 3 + 3);
-/** Ten shares are added to the sums of their nodes. */
+/**
+ * Ten shares are added to the sums of their nodes: six of two elements that share a face to each other first, where
+ * elements are gone through.
+ */
 constexpr int SCATTER = 10 * 3;
+/** Nodes that the two elements of a pair have in common, and corners among them (kernels.h, Pairing). */
+constexpr int COMMON = 6, COMMON_CORNERS = 3;
 /** 1/210 to the coefficient */
-constexpr int SINGLE_PRODUCT = 1 + GRADIENT_0 + STRESSES + FORCES + MASS;
+constexpr int SINGLE_PRODUCT = 1 + STRESSES + FORCES + MASS;
 /** The mass is left to the nodes, where there are 3 + 3 operations more. */
 constexpr int SMOOTHED_PRODUCT = SINGLE_PRODUCT - 1 - MASS;
 /** alpha and beta to the coefficients */
@@ -152,7 +161,7 @@ constexpr int INVERSE_PRODUCT = 15;
 /** Six cofactors of 3 each, the determinant, a division, six products, and m^2 times the trace. */
 constexpr int INVERSION = 6 * 3 + 5 + 1 + 6 + 5;
 /** With the identity taken from the normal strains. */
-constexpr int FORCE = GRADIENT_0 + STRESSES + 4 * 3 + FORCES + SCATTER;
+constexpr int FORCE = STRESSES + 4 * 3 + FORCES + SCATTER;
 
 /** H_cd + H_dc: dot product and 2 mu (6), diagonal (3 x 3), the rest (3 x 4). */
 constexpr int SYMMETRIC_H = 6 + 9 + 12;
@@ -356,6 +365,7 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
   Factor factor(file, overrides);
   Panels panels(factor.numbers());
   const kernels::NodeShares lists{model.share_begin.data(), model.share_slots.data()};
+  const auto first = std::count(model.block_pairing.begin(), model.block_pairing.end(), kernels::FIRST);
   const kernels::BlockRows rows{A.rowBegin().data(), A.column().data()};
 
   const double tets = model.num_tets, nodes = model.num_nodes, blocks = static_cast<double>(A.column().size());
@@ -364,23 +374,30 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
   constexpr double NUMBER = sizeof(double), INDEX = sizeof(int), NODE = 4 * NUMBER, MATRIX = 9 * NUMBER;
   constexpr double BLOCK = kernels::DIAGONAL_STRIDE * NUMBER;
   constexpr double HALF = 0.5;  // of all but indices, in single precision
-  // Of an element: where to read and, node by node, where shares are; coefficients and gradients. Its ten shares, which
-  // are written and read.
-  const double element = 2 * 10 * INDEX + 3 * NUMBER + MATRIX, shares = tets * 10 * NODE;
-  const double single_element = 10 * INDEX + HALF * (3 * NUMBER + MATRIX), single_shares = HALF * shares;
-  const double slots = tets * 10 * INDEX, values = HALF * nodes * NODE, inverses = HALF * nodes * 12 * NUMBER;
+  // Of what the two elements of a pair have in common, the kernels read once where it is, and once what is there; they
+  // add up the shares of it, and store one, which is in the lists once.
+  const double pairs = static_cast<double>(LANES * first), joined = pairs * COMMON * 3;
+  const double stored = tets * 10 - pairs * COMMON, corners = tets * 4 - pairs * COMMON_CORNERS;
+  // Of all elements: coefficients and gradients. Their shares, which are written and read. Where to read and, node by
+  // node, where shares are: an index a share each.
+  const double numbers = tets * (3 * NUMBER + MATRIX), shares = stored * NODE, slots = stored * INDEX;
+  const double elements = numbers + 2 * slots;
+  // Of the diagonal each element has its ten by itself, twice as many numbers in single precision.
+  const double diagonals = tets * 10 * NODE;
+  const double single_numbers = HALF * numbers, no_mass = HALF * tets * NUMBER, single_shares = HALF * shares;
+  const double values = HALF * nodes * NODE, inverses = HALF * nodes * 12 * NUMBER;
   const double factored = factor.numbers() * HALF * NUMBER, sides = factor.vertices() * HALF * NODE;
   const int count = model.num_nodes;
   double sink = 0;
   const std::vector<Kernel> all = {
       {"rotations", false, tets * ROTATION, tets * (4 * INDEX + 4 * MATRIX + NUMBER + 2) + vertices * NODE, 0,
        [&]() { updateRotations(model, partition, x, before, rotations, turned); }},
-      {"product", false, tets * PRODUCT, tets * element + 2 * shares + nodes * 2 * NODE, shares,
+      {"product", false, tets * PRODUCT, elements + 2 * shares + nodes * 2 * NODE, shares,
        [&]() { systemProduct(model, partition, rotations, 1, dt * dt, u, v); }},
-      {"elastic force", false, tets * FORCE, tets * (element - NUMBER) + 2 * shares + nodes * 2 * NODE, shares,
+      {"elastic force", false, tets * FORCE, elements - tets * NUMBER + 2 * shares + nodes * 2 * NODE, shares,
        [&]() { elasticForce(model, partition, rotations, x, v); }},
-      {"block diagonal", true, tets * DIAGONAL + nodes * 6, tets * (element - 10 * INDEX) + 2 * shares + nodes * BLOCK,
-       shares, [&]() { systemDiagonal(model, partition, rotations, 1, dt * dt, diagonal); }},
+      {"block diagonal", true, tets * DIAGONAL + nodes * 6, numbers + tets * 10 * INDEX + 2 * diagonals + nodes * BLOCK,
+       diagonals, [&]() { systemDiagonal(model, partition, rotations, 1, dt * dt, diagonal); }},
       {"assembled product", false, blocks * 18, blocks * (MATRIX + INDEX) + nodes * (INDEX + 2 * NODE), 0,
        [&]() { table.block_product(rows, 0, A.rows(), A.blocks().data(), u.data(), v.data()); }},
       // In place: blocks and their inverses by turns.
@@ -403,34 +420,35 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
        [&]() { sink += table.dot(0, count, u.data(), z.data()); }},
       // What the multigrid is made of. Its product has p.q with the sums, as its conjugate gradients take it.
       {"product", true, tets * (SINGLE_PRODUCT + SCATTER) + nodes * 6,
-       tets * single_element + slots + 2 * single_shares + 3 * values, single_shares + values,
+       single_numbers + 2 * slots + 2 * single_shares + 3 * values, single_shares + values,
        [&]() {
          table.single_product(single.elements, 0, model.num_blocks, single.p.data(), single.elementShares());
          sink += table.single_sum(lists, 0, count, single.shares.data(), single.p.data(), single.q.data());
        }},
-      {"product: shares", true, tets * SINGLE_PRODUCT, tets * single_element + single_shares + values, 0,
+      {"product: shares", true, tets * SINGLE_PRODUCT + joined, single_numbers + slots + single_shares + values, 0,
        [&]() { table.single_product(single.elements, 0, model.num_blocks, single.p.data(), single.elementShares()); }},
-      {"smoother's product: shares", true, tets * SMOOTHED_PRODUCT,
-       tets * (single_element - HALF * NUMBER) + single_shares + values, 0,
+      {"smoother's product: shares", true, tets * SMOOTHED_PRODUCT + joined,
+       single_numbers - no_mass + slots + single_shares + values, 0,
        [&]() { table.single_product(single.smoothed, 0, model.num_blocks, single.p.data(), single.elementShares()); }},
-      {"product: sums and p.q", true, tets * SCATTER + nodes * 6, slots + single_shares + 2 * values, 0,
+      {"product: sums and p.q", true, tets * SCATTER - joined + nodes * 6, slots + single_shares + 2 * values, 0,
        [&]() { sink += table.single_sum(lists, 0, count, single.shares.data(), single.p.data(), single.q.data()); }},
-      {"prolonged product: shares", true, tets * PROLONGED_PRODUCT,
-       tets * (single_element - 6 * INDEX - HALF * NUMBER) + single_shares + HALF * vertices * NODE, 0,
+      {"prolonged product: shares", true, tets * PROLONGED_PRODUCT + joined,
+       single_numbers - no_mass + corners * INDEX + single_shares + HALF * vertices * NODE, 0,
        [&]() {
          table.prolonged_product(single.smoothed, 0, model.num_blocks, single.p.data(), single.elementShares());
        }},
-      {"subtracted sums", true, tets * SCATTER + nodes * 3, slots + single_shares + values, 0,
+      {"subtracted sums", true, tets * SCATTER - joined + nodes * 3, slots + single_shares + values, 0,
        [&]() { table.subtract_shares(lists, 0, count, single.shares.data(), single.r.data()); }},
       // r -= the sums, d = keep d + gain B^-1 r, z += d, r -= mass d
-      {"sums and Chebyshev's term", true, tets * SCATTER + nodes * (3 + INVERSE_PRODUCT + 3 + 6 + 3 + 6),
+      {"sums and Chebyshev's term", true, tets * SCATTER - joined + nodes * (3 + INVERSE_PRODUCT + 3 + 6 + 3 + 6),
        slots + single_shares + 3 * values + inverses + HALF * nodes * NUMBER, 0,
        [&]() {
          table.single_chebyshev(lists, 0, count, 0.5f, 0.5f, single.shares.data(), single.inverse.data(),
                                 single.mass.data(), single.r.data(), single.d.data(), single.z.data());
        }},
       // With v, half the sum of two vertices: r -= the sums + mass v, d = gain B^-1 r, z += v + d, r -= mass d
-      {"sums, prolongation and first term", true, tets * SCATTER + nodes * (6 + 9 + INVERSE_PRODUCT + 3 + 6 + 6),
+      {"sums, prolongation and first term", true,
+       tets * SCATTER - joined + nodes * (6 + 9 + INVERSE_PRODUCT + 3 + 6 + 6),
        slots + single_shares + 3 * values + inverses + nodes * (2 * INDEX + HALF * NUMBER) + HALF * vertices * NODE, 0,
        [&]() {
          table.prolonged_chebyshev(lists, 0, count, 0.5f, single.shares.data(), single.inverse.data(),

@@ -16,10 +16,10 @@ constexpr int LANES = 16;
 
 /**
  * A body at rest: geometry, material and numbering. Does not change while it is simulated, except for its material
- * (setMaterials()). Elements are in the order of a recursive bisection of the body, most of them side by side with one
- * that they share a face with, and control points near their elements, corners among edges: so neighbours in space are
- * neighbours in memory. "Node" is short for control
- * point.
+ * (setMaterials()). Elements are in the order of a recursive bisection of the body, most of them paired with one that
+ * they share a face with, in the same lane of the next block, and control points near their elements, corners among
+ * edges: so neighbours in space are neighbours in memory. An element's corners are an even permutation of those of its
+ * tetrahedron in the mesh. "Node" is short for control point.
  */
 struct Model
 {

@@ -10,9 +10,10 @@ namespace bezier_fem
 {
 /**
  * How a model's elements and nodes are shared among threads: contiguous ranges, of larger bodies several a thread, so
- * that one that is held up does not hold up the others. Nodes come in chunks, of which a range may have none, and sums
- * over nodes are made chunk by chunk, so that they are the same for any number of threads. What elements add to nodes
- * goes to the memory here, from where it is summed up node by node: one user at a time.
+ * that one that is held up does not hold up the others. No pair of blocks is divided, and of small bodies a range may
+ * have no blocks. Nodes come in chunks, of which a range may have none, and sums over nodes are made chunk by chunk, so
+ * that they are the same for any number of threads. What elements add to nodes goes to the memory here, from where it
+ * is summed up node by node: one user at a time.
  */
 class Partition
 {

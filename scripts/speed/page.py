@@ -148,11 +148,12 @@ def kernels(sizes):
         faster one, all measured in this run; operations and bytes are counted from the formulas
         (`bench/roofline.cpp`). The peak takes every operation for half of a fused one; a kernel that also gathers,
         shuffles and adds singly cannot get near it. Bytes are those that a loop goes through, each place once, as a
-        triad's three arrays are counted; elements store their shares, which a second loop sums up node by node. The
-        product in double is what residuals are made of; that in single precision, the whole of it, is what the
-        multigrid's own conjugate gradients iterate with. In its smoother, *smoother's product*, *prolonged product*
-        and *Chebyshev's term*, elements leave the mass to the nodes, where it is lumped; that is what the solver does
-        where the mass is a small share of the diagonal, else the smoother takes the whole product too. The diagonal's
+        triad's three arrays are counted; elements store their shares, most of them by twos that share a face and store
+        one share of each node there, and a second loop sums those up node by node. The product in double is what
+        residuals are made of; that in single precision, the whole of it, is what the multigrid's own conjugate
+        gradients iterate with. In its smoother, *smoother's product*, *prolonged product* and *Chebyshev's term*,
+        elements leave the mass to the nodes, where it is lumped; that is what the solver does where the mass is a
+        small share of the diagonal, else the smoother takes the whole product too. The diagonal's
         blocks are made in single precision unless an element is nearly incompressible. *Products* are
         of a plain product in double for all. Data are in cache if they fit.""")
     yield from table(["peak", ""], [list(row.values()) for row in sizes["small"]["peaks"]])

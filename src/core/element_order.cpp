@@ -119,20 +119,6 @@ public:
         });
       }
     }
-    // Who is left takes a neighbour from its partner where that one has another neighbour who is left.
-    for (const int t : tets)
-    {
-      for (const int n : neighbours_[t])
-      {
-        if (partner_[t] >= 0) break;
-        if (n < 0 || part_[n] != parts_ || partner_[n] < 0) continue;
-        int other = -1;
-        forEachFree(partner_[n], [&](int free) { other = free == t ? other : free; });
-        if (other < 0) continue;
-        pair(partner_[n], other);
-        pair(t, n);
-      }
-    }
   }
 
   /** -1 if there is none */

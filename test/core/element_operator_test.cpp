@@ -4,6 +4,7 @@
 
 #include <Eigen/Dense>
 #include <Eigen/Eigenvalues>
+#include <algorithm>
 #include <numeric>
 
 #include "bezier_fem/conjugate_gradient.h"
@@ -209,16 +210,26 @@ double diagonalError(const Model& model, const Partition& partition, const Rotat
 
 TEST_P(EveryElement, OperatorEqualsItsDenseReference)
 {
-  const Model model = box({2, 1, 2}, {0.5, 0.3, 0.6});
-  const Partition partition(model, 1);
-  const Bent bent(model, partition, GetParam().rule);
-  const MatrixXd reference = denseSystem(model, bent.rotations, 1.5, 0.02);
-  const MatrixXd A = byColumns(model, partition, bent.rotations, 1.5, 0.02);
-  EXPECT_EQ(model.block_mean.empty(), !model.quadratic() || GetParam().dilatation == Dilatation::FULL);
-  EXPECT_LT((A - reference).norm(), 1e-13 * reference.norm());
-  EXPECT_LT((A - A.transpose()).norm(), 1e-14 * reference.norm());
-  EXPECT_LT(diagonalError(model, partition, bent.rotations, 1.5, 0.02, reference), 1e-6);
-  EXPECT_GT(diagonalError(model, partition, bent.rotations, 1.5, 0.02, reference), 1e-9);  // in single precision
+  // Elements that are alone, and some in pairs beside those.
+  for (const bool pairs : {false, true})
+  {
+    SCOPED_TRACE(pairs);
+    const Model model = box(pairs ? Eigen::Vector3i(2, 1, 4) : Eigen::Vector3i(2, 1, 2), {0.5, 0.3, 0.6});
+    const auto count = [&](kernels::Pairing pairing) {
+      return std::count(model.block_pairing.begin(), model.block_pairing.end(), pairing);
+    };
+    ASSERT_EQ(count(kernels::SECOND), pairs ? 1 : 0);
+    ASSERT_GT(count(kernels::ALONE), 0);
+    const Partition partition(model, 1);
+    const Bent bent(model, partition, GetParam().rule);
+    const MatrixXd reference = denseSystem(model, bent.rotations, 1.5, 0.02);
+    const MatrixXd A = byColumns(model, partition, bent.rotations, 1.5, 0.02);
+    EXPECT_EQ(model.block_mean.empty(), !model.quadratic() || GetParam().dilatation == Dilatation::FULL);
+    EXPECT_LT((A - reference).norm(), 1e-13 * reference.norm());
+    EXPECT_LT((A - A.transpose()).norm(), 1e-14 * reference.norm());
+    EXPECT_LT(diagonalError(model, partition, bent.rotations, 1.5, 0.02, reference), 1e-6);
+    EXPECT_GT(diagonalError(model, partition, bent.rotations, 1.5, 0.02, reference), 1e-9);  // in single precision
+  }
 }
 
 TEST_P(EveryElement, DiagonalBlocksAreDefiniteHoweverIncompressible)
