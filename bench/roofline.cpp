@@ -382,8 +382,6 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
   // node, where shares are: an index a share each.
   const double numbers = tets * (3 * NUMBER + MATRIX), shares = stored * NODE, slots = stored * INDEX;
   const double elements = numbers + 2 * slots;
-  // Of the diagonal each element has its ten by itself, twice as many numbers in single precision.
-  const double diagonals = tets * 10 * NODE;
   const double single_numbers = HALF * numbers, no_mass = HALF * tets * NUMBER, single_shares = HALF * shares;
   const double values = HALF * nodes * NODE, inverses = HALF * nodes * 12 * NUMBER;
   const double factored = factor.numbers() * HALF * NUMBER, sides = factor.vertices() * HALF * NODE;
@@ -396,8 +394,9 @@ void bench(const std::string& file, const std::vector<std::string>& overrides, c
        [&]() { systemProduct(model, partition, rotations, 1, dt * dt, u, v); }},
       {"elastic force", false, tets * FORCE, elements - tets * NUMBER + 2 * shares + nodes * 2 * NODE, shares,
        [&]() { elasticForce(model, partition, rotations, x, v); }},
-      {"block diagonal", true, tets * DIAGONAL + nodes * 6, numbers + tets * 10 * INDEX + 2 * diagonals + nodes * BLOCK,
-       diagonals, [&]() { systemDiagonal(model, partition, rotations, 1, dt * dt, diagonal); }},
+      // Shares have twice as many numbers, in single precision.
+      {"block diagonal", true, tets * DIAGONAL + nodes * 6, numbers + slots + 2 * shares + nodes * BLOCK, shares,
+       [&]() { systemDiagonal(model, partition, rotations, 1, dt * dt, diagonal); }},
       {"assembled product", false, blocks * 18, blocks * (MATRIX + INDEX) + nodes * (INDEX + 2 * NODE), 0,
        [&]() { table.block_product(rows, 0, A.rows(), A.blocks().data(), u.data(), v.data()); }},
       // In place: blocks and their inverses by turns.

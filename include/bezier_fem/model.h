@@ -56,9 +56,8 @@ struct Model
   AlignedVector<int> block_offsets;          // [block][nodes_per_tet][LANES]: 4 times the node
   AlignedVector<double> block_gradients;     // [block][9][LANES], g_1 g_2 g_3, 1/m
   AlignedVector<double> block_coefficients;  // [block][3][LANES]: V lambda_L, V mu (Pa m^3), V rho (kg)
-  // Where elements leave what they add to a node (kernels.h, NodeShares), the two of a pair together; and of diagonal
-  // blocks, where every element is by itself
-  std::vector<int> share_begin, share_slots, diagonal_begin, diagonal_slots;
+  // Where elements leave what they add to a node, the two of a pair together (kernels.h, NodeShares)
+  std::vector<int> share_begin, share_slots;
   AlignedVector<double> block_mean;  // [block][LANES]: V meanLambda() (Pa m^3); empty where all are zero
 
   // The largest of the elements': V rho (kg), V (lambda_L + 2 mu) times the largest |g_i|^2, i > 0 (N/m),

@@ -31,11 +31,6 @@ inline kernels::NodeShares sharesOf(const Model& model)
   return {model.share_begin.data(), model.share_slots.data()};
 }
 
-inline kernels::NodeShares diagonalSharesOf(const Model& model)
-{
-  return {model.diagonal_begin.data(), model.diagonal_slots.data()};
-}
-
 /** Runs loop(elements, begin, end, shares) on blocks of elements, then sums the shares up to out. */
 template <class Loop>
 void accumulate(const Model& model, const Partition& partition, int points, double* out, const Loop& loop)
@@ -58,8 +53,8 @@ void accumulateDiagonal(const Model& model, const Partition& partition, int poin
          partition.shares() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
   });
   forEachPiece(partition, [&](int t) {
-    kernels::table().sum_diagonals(diagonalSharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t),
-                                   partition.shares(), out);
+    kernels::table().sum_diagonals(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), partition.shares(),
+                                   out);
   });
 }
 
@@ -75,8 +70,8 @@ void accumulateSingleDiagonal(const Model& model, const Partition& partition, in
          shares + 2 * kernels::ZERO_ROWS * kernels::SHARES);
   });
   forEachPiece(partition, [&](int t) {
-    kernels::table().sum_single_diagonals(diagonalSharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), shares,
-                                          factor, out);
+    kernels::table().sum_single_diagonals(sharesOf(model), partition.nodeBegin(t), partition.nodeEnd(t), shares, factor,
+                                          out);
   });
 }
 

@@ -48,9 +48,8 @@ constexpr int READ_AHEAD = 16;
 /**
  * Most blocks of elements come by twos, of which the second one's elements each share a face with the first one's in
  * the same lane: that opposite to corner 0 of both. Corners 1, 2, 3 of the one are 1, 3, 2 of the other. What both add
- * to a node of that face is one share, in the first one's row, and the second one's row of it is left as it is; of
- * diagonal blocks each has its own. Kernels that are given shares, and turn_work(), take ranges of blocks that divide
- * no pair.
+ * to a node of that face is one share, in the first one's row, and the second one's row of it is left as it is. Kernels
+ * that are given shares, and turn_work(), take ranges of blocks that divide no pair.
  */
 enum Pairing : unsigned char
 {

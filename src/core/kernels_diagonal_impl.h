@@ -10,11 +10,26 @@ inline SymOf<V> symmetricH(const Vec3Of<V>& c, const Vec3Of<V>& d, V lambda, V m
           (sum + sum) * c.y * d.y + dot, sum * (c.y * d.z + c.z * d.y), (sum + sum) * c.z * d.z + dot};
 }
 
-/** @param rows  the node's two rows of shares */
-template <class Scalar, class V>
-ALWAYS_INLINE void storeDiagonal(Scalar* rows, int part, const SymOf<V>& s, V mass)
+template <class V>
+inline SymOf<V> plusDiagonal(const SymOf<V>& s, V d)
 {
-  storeShares(rows, part, Vec3Of<V>{s.xx + mass, s.yy + mass, s.zz + mass}, Vec3Of<V>{s.xy, s.xz, s.yz});
+  return {s.xx + d, s.xy, s.xz, s.yy + d, s.yz, s.zz + d};
+}
+
+/** Calls run(block, part, give) for registers of elements, of which give(k, s) writes the diagonal blocks of nodes k.
+ */
+template <class V, int NODES, class Scalar, class Run>
+ALWAYS_INLINE void forEachDiagonal(const unsigned char* pairing, int begin, int end, Scalar* shares, const Run& run)
+{
+  forEachRegister<V, SymOf<V>, NODES, NODES>(
+      pairing, begin, end, [](long, int) INLINED { return [](int) INLINED { return 0; }; },
+      [&](long block, int part) INLINED {
+        Scalar* to = shares + 2 * SHARES * NODES * block;
+        return [to, part](int k, const SymOf<V>& s) INLINED {
+          storeShares(to + 2 * SHARES * k, part, Vec3Of<V>{s.xx, s.yy, s.zz}, Vec3Of<V>{s.xy, s.xz, s.yz});
+        };
+      },
+      [&](long block, int part, const auto& /*in*/, const auto& give) INLINED { run(block, part, give); });
 }
 
 template <class V>
@@ -31,8 +46,8 @@ inline SymOf<V> square(V s, const Vec3Of<V>& v)
   return {w.x * v.x, w.x * v.y, w.x * v.z, w.y * v.y, w.y * v.z, w.z * v.z};
 }
 
-template <bool MEAN, class Scalar, class V>
-inline void addDiagonalOfFour(Scalar* rows, int part, const double* rotated, V lambda, V mu, V mean, V mass)
+template <bool MEAN, class V, class Give>
+ALWAYS_INLINE void addDiagonalOfFour(const double* rotated, V lambda, V mu, V mean, V mass, const Give& give)
 {
   RotatedGradientsOf<V> g[4];
   for (int q = 0; q < 4; ++q) g[q] = loadGradients<double, V>(rotated + 9L * q * LANES);
@@ -52,7 +67,7 @@ inline void addDiagonalOfFour(Scalar* rows, int part, const double* rotated, V l
         if constexpr (MEAN) total = total + h;
       }
       if constexpr (MEAN) sum = sum + square(half * mean, total);
-      storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, half * sum, mass * all<V>(a == b ? 1.0 / 35 : 2.0 / 105));
+      give(POINT[a][b], plusDiagonal(half * sum, mass * all<V>(a == b ? 1.0 / 35 : 2.0 / 105)));
     }
   }
 }
@@ -62,53 +77,50 @@ template <class V, int NODES, int POINTS, bool MEAN, class Scalar>
 void addDiagonal(const Elements& elements, int begin, int end, const double* rotated, double alpha, double beta,
                  Scalar* shares)
 {
-  for (int block = begin; block < end; ++block)
-  {
-    for (int part = 0; part < LANES; part += static_cast<int>(sizeof(V) / sizeof(Scalar)))
+  forEachDiagonal<V, NODES>(elements.pairing, begin, end, shares, [&](long block, int part, const auto& give) INLINED {
+    const double* c = elements.coefficients + 3 * block * LANES + part;
+    V lambda = loadAs<V>(c, beta), mean = V{};
+    const V mu = loadAs<V>(c + LANES, beta), mass = loadAs<V>(c + 2L * LANES, alpha);
+    if constexpr (MEAN)
     {
-      Scalar* rows = shares + 2 * SHARES * NODES * block;
-      const double* c = elements.coefficients + 3L * block * LANES + part;
-      V lambda = loadAs<V>(c, beta), mean = V{};
-      const V mu = loadAs<V>(c + LANES, beta), mass = loadAs<V>(c + 2L * LANES, alpha);
-      if constexpr (MEAN)
-      {
-        mean = loadAs<V>(elements.mean + static_cast<long>(block) * LANES + part, beta);
-        lambda -= mean;
-      }
-      const double* own = rotated + static_cast<long>(block) * POINTS * 9 * LANES + part;
-      if constexpr (POINTS == 4)
-      {
-        addDiagonalOfFour<MEAN>(rows, part, own, lambda, mu, mean, mass);
-        continue;
-      }
+      mean = loadAs<V>(elements.mean + block * LANES + part, beta);
+      lambda -= mean;
+    }
+    const double* own = rotated + block * POINTS * 9 * LANES + part;
+    if constexpr (POINTS == 4)
+    {
+      addDiagonalOfFour<MEAN>(own, lambda, mu, mean, mass, give);
+    }
+    else
+    {
       const auto g = loadGradients<double, V>(own);
       SymOf<V> h[4];  // 2 H_aa
       for (int a = 0; a < 4; ++a) h[a] = symmetricH(g.r[a], g.r[a], lambda, mu);
       if constexpr (NODES == 4)
       {
         const V half = all<V>(0.5);
-        for (int a = 0; a < 4; ++a) storeDiagonal(rows + 2 * SHARES * a, part, half * h[a], mass * all<V>(0.1));
+        for (int a = 0; a < 4; ++a) give(a, plusDiagonal(half * h[a], mass * all<V>(0.1)));
       }
       else
       {
         // 4 V/20 (2 H_aa) at corners, 4 V/20 (2 H_aa + 2 H_bb + H_ab + H_ba) at edges; M: rho V/35 and rho V 4/210.
         // Mean gradients: r_a/2 at corners, (r_a + r_b)/2 at edges.
         const V fifth = all<V>(0.2), quarter_mean = all<V>(0.25) * mean;
-        for (int a = 0; a < 4; ++a)
-        {
+        const V corner_mass = mass * all<V>(1.0 / 35), edge_mass = mass * all<V>(2.0 / 105);
+        unrolled<4>([&](auto a) INLINED {
           SymOf<V> corner = fifth * h[a];
           if constexpr (MEAN) corner = corner + square(quarter_mean, g.r[a]);
-          storeDiagonal(rows + 2 * SHARES * a, part, corner, mass * all<V>(1.0 / 35));
-          for (int b = a + 1; b < 4; ++b)
-          {
-            SymOf<V> edge = fifth * (h[a] + h[b] + symmetricH(g.r[a], g.r[b], lambda, mu));
-            if constexpr (MEAN) edge = edge + square(quarter_mean, g.r[a] + g.r[b]);
-            storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, edge, mass * all<V>(2.0 / 105));
-          }
-        }
+          give(a, plusDiagonal(corner, corner_mass));
+        });
+        unrolled<6>([&](auto k) INLINED {
+          constexpr int a = ENDS[4 + k][0], b = ENDS[4 + k][1];
+          SymOf<V> edge = fifth * (h[a] + h[b] + symmetricH(g.r[a], g.r[b], lambda, mu));
+          if constexpr (MEAN) edge = edge + square(quarter_mean, g.r[a] + g.r[b]);
+          give(4 + k, plusDiagonal(edge, edge_mass));
+        });
       }
     }
-  }
+  });
 }
 
 /** Half a diagonal block, or all of it where a register has room. */

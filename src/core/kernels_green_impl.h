@@ -130,9 +130,9 @@ inline void nodalForces(const RotatedGradients& g, const Mat* q, Vec3* f)
   }
 }
 
-/** Calls f(offset of the first lane among the nodes, block, first lane) for each register of elements. */
+/** Calls f(offset of the first lane among the nodes, block, first lane) for registers of elements, each by itself. */
 template <int NODES, class F>
-inline void forEachRegister(int begin, int end, const F& f)
+inline void forEachAlone(int begin, int end, const F& f)
 {
   for (long block = begin; block < end; ++block)
   {
@@ -201,7 +201,7 @@ double greenEnergy(const Elements& elements, int begin, int end, const double* r
 {
   constexpr int CORNERS = Green<NODES>::GRADIENTS;
   Vec sum = Vec{};
-  forEachRegister<NODES>(begin, end, [&](long at, long block, int part) {
+  forEachAlone<NODES>(begin, end, [&](long at, long block, int part) {
     const double* c = elements.coefficients + 3 * block * LANES + part;
     Vec3 in[NODES];
     gatherNodes<NODES>(x, elements.gather + at, in);
@@ -364,7 +364,7 @@ void lineariseGreen(const Elements& elements, int begin, int end, const double* 
                     double* tangent)
 {
   using G = Green<NODES>;
-  forEachRegister<NODES>(begin, end, [&](long at, long block, int part) {
+  forEachAlone<NODES>(begin, end, [&](long at, long block, int part) {
     const double* c = elements.coefficients + 3 * block * LANES + part;
     Vec3 in[NODES];
     gatherNodes<NODES>(x, elements.gather + at, in);
@@ -476,14 +476,13 @@ void addGreenDiagonal(const Elements& elements, int begin, int end, const double
                       double alpha, double beta, double* shares)
 {
   using G = Green<NODES>;
-  forEachRegister<NODES>(begin, end, [&](long /*at*/, long block, int part) {
+  forEachDiagonal<Vec, NODES>(elements.pairing, begin, end, shares, [&](long block, int part, const auto& give) {
     const double* c = elements.coefficients + 3 * block * LANES + part;
     const RotatedGradients g = basisGradients<NODES>(rest + 9 * block * LANES + part);
     const Vec mu = beta * load(c + LANES), sum = beta * load(c) + mu, mass = alpha * load(c + 2L * LANES);
     Mat f[G::GRADIENTS];
     Sym t[G::PAIRS], own[NODES] = {};
     loadTangent<NODES>(tangent + block * G::SIZE * LANES + part, f, t);
-    double* rows = shares + 2 * SHARES * NODES * block;
     if constexpr (NODES == 4)
     {
       const Sym fft = timesTranspose(f[0]);
@@ -491,7 +490,7 @@ void addGreenDiagonal(const Elements& elements, int begin, int end, const double
       {
         addOwnBlock(own[a], f[0] * g.r[a], dot(g.r[a], g.r[a]), fft, sum, mu);
         const Vec geometric = beta * dot(g.r[a], t[0] * g.r[a]);
-        storeDiagonal(rows + 2 * SHARES * a, part, own[a], mass * 0.1 + geometric);
+        give(a, plusDiagonal(own[a], mass * 0.1 + geometric));
       }
     }
     else
@@ -521,12 +520,12 @@ void addGreenDiagonal(const Elements& elements, int begin, int end, const double
       for (int a = 0; a < 4; ++a)
       {
         const Vec corner = beta * dot(g.r[a], t[a] * g.r[a]);
-        storeDiagonal(rows + 2 * SHARES * a, part, own[a], mass * (1.0 / 35) + corner);
+        give(a, plusDiagonal(own[a], mass * (1.0 / 35) + corner));
         for (int b = a + 1; b < 4; ++b)
         {
           const Vec edge = beta * (dot(g.r[b], t[a] * g.r[b]) + dot(g.r[a], t[b] * g.r[a]) +
                                    2 * dot(g.r[a], t[POINT[a][b]] * g.r[b]));
-          storeDiagonal(rows + 2 * SHARES * POINT[a][b], part, own[POINT[a][b]], mass * (2.0 / 105) + edge);
+          give(POINT[a][b], plusDiagonal(own[POINT[a][b]], mass * (2.0 / 105) + edge));
         }
       }
     }

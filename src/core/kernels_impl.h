@@ -22,60 +22,81 @@ namespace
 #include "kernels_element_impl.h"
 
 /**
- * Calls run(block, part, in, give) for registers of elements, of which in(k) gathers the nodes k and give(k, f) stores
- * the shares of nodes k. What a pair has in common is gathered by the first one, and stored by the second one for both,
- * which spares three tenths of gathering, of storing, and of summing up later.
+ * Calls run(block, part, in, give) for registers V of elements, of which in(k) reads what their nodes k have and
+ * give(k, share) writes what they get. What a pair has in common is read by the first one, and written by the second
+ * one for both, which spares three tenths of reading, of writing, and of summing up later.
+ * @param reader  reader(block, part)(row) reads; rows from IN on are those of the next block
+ * @param writer  writer(block, part)(row, share) writes; rows from OUT on are those of the next block
+ */
+template <class V, class Share, int IN, int OUT, class Reader, class Writer, class Run>
+ALWAYS_INLINE void forEachRegister(const unsigned char* pairing, int begin, int end, const Reader& reader,
+                                   const Writer& writer, const Run& run)
+{
+  for (long block = begin; block < end; block += pairing[block] == ALONE ? 1 : 2)
+  {
+    for (int part = 0; part < LANES; part += static_cast<int>(sizeof(V) / sizeof(std::declval<V&>()[0])))
+    {
+      const auto read = reader(block, part);
+      const auto write = writer(block, part);
+      if (pairing[block] == ALONE)
+      {
+        run(block, part, read, write);
+        continue;
+      }
+      decltype(read(0)) common[IN];
+      Share half[OUT];
+      run(
+          block, part,
+          [&](int k) INLINED {
+            const auto values = read(k);
+            if (ACROSS[k] >= 0) common[k] = values;
+            return values;
+          },
+          [&](int k, const Share& share) INLINED {
+            if (ACROSS[k] >= 0)
+            {
+              half[k] = share;
+            }
+            else
+            {
+              write(k, share);
+            }
+          });
+      run(
+          block + 1, part, [&](int k) INLINED { return ACROSS[k] >= 0 ? common[ACROSS[k]] : read(IN + k); },
+          [&](int k, const Share& share) INLINED {
+            if (ACROSS[k] >= 0)
+            {
+              write(ACROSS[k], half[ACROSS[k]] + share);
+            }
+            else
+            {
+              write(OUT + k, share);
+            }
+          });
+    }
+  }
+}
+
+/**
+ * The same where in(k) gathers the vectors of nodes k, and what they get are vectors.
  * @param list  [block][IN][LANES]: where the numbers of nodes, or of corners, begin
  */
 template <class V, int IN, int OUT, class Scalar, class Run>
 ALWAYS_INLINE void forEachElement(const unsigned char* pairing, const int* list, int begin, int end, const Scalar* x,
                                   Scalar* shares, const Run& run)
 {
-  for (long block = begin; block < end; block += pairing[block] == ALONE ? 1 : 2)
-  {
-    for (int part = 0; part < LANES; part += static_cast<int>(sizeof(V) / sizeof(Scalar)))
-    {
-      const int* from = list + block * IN * LANES + part;
-      Scalar* to = shares + SHARES * OUT * block;
-      const auto read = [&](int k) INLINED { return gather(x, from + static_cast<long>(k) * LANES); };
-      const auto write = [&](int k, const Vec3Of<V>& f) INLINED { storeShares(to + SHARES * k, part, f); };
-      if (pairing[block] == ALONE)
-      {
-        run(block, part, read, write);
-        continue;
-      }
-      Vec3Of<V> u[IN], half[OUT];
-      run(
-          block, part,
-          [&](int k) INLINED {
-            const Vec3Of<V> v = read(k);
-            if (ACROSS[k] >= 0) u[k] = v;
-            return v;
-          },
-          [&](int k, const Vec3Of<V>& f) INLINED {
-            if (ACROSS[k] >= 0)
-            {
-              half[k] = f;
-            }
-            else
-            {
-              write(k, f);
-            }
-          });
-      run(
-          block + 1, part, [&](int k) INLINED { return ACROSS[k] >= 0 ? u[ACROSS[k]] : read(IN + k); },
-          [&](int k, const Vec3Of<V>& f) INLINED {
-            if (ACROSS[k] >= 0)
-            {
-              write(ACROSS[k], half[ACROSS[k]] + f);
-            }
-            else
-            {
-              write(OUT + k, f);
-            }
-          });
-    }
-  }
+  forEachRegister<V, Vec3Of<V>, IN, OUT>(
+      pairing, begin, end,
+      [&](long block, int part) INLINED {
+        const int* from = list + block * IN * LANES + part;
+        return [x, from](int k) INLINED { return gather(x, from + static_cast<long>(k) * LANES); };
+      },
+      [&](long block, int part) INLINED {
+        Scalar* to = shares + SHARES * OUT * block;
+        return [to, part](int k, const Vec3Of<V>& f) INLINED { storeShares(to + SHARES * k, part, f); };
+      },
+      run);
 }
 
 /** Calls element(block, part, rotated, lambda, mu, mass, mean, in, give) likewise. */

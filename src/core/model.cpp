@@ -167,12 +167,7 @@ void fillBlocks(Model& model)
   }
 }
 
-/**
- * @param of_pairs   whether the elements of a pair have one share together of what they both add to
- * @param begin      set to NodeShares::begin
- * @param all_slots  set to NodeShares::slots
- */
-void listShares(const Model& model, bool of_pairs, std::vector<int>& begin, std::vector<int>& all_slots)
+void listShares(Model& model)
 {
   constexpr int GROUP = kernels::NODE_GROUP;
   std::vector<std::vector<int>> of_node((static_cast<std::size_t>(model.num_nodes) + GROUP - 1) / GROUP * GROUP);
@@ -180,12 +175,12 @@ void listShares(const Model& model, bool of_pairs, std::vector<int>& begin, std:
   {
     for (int k = 0; k < model.nodes_per_tet; ++k)
     {
-      if (of_pairs && storedAcross(model, t, k)) continue;
+      if (storedAcross(model, t, k)) continue;
       const int row = kernels::ZERO_ROWS + t / LANES * model.nodes_per_tet + k;
       of_node[model.nodesOf(t)[k]].push_back(4 * (LANES * row + kernels::slotOf(t % LANES)));
     }
   }
-  begin.push_back(0);
+  model.share_begin.push_back(0);
   for (std::size_t i = 0; i < of_node.size(); i += GROUP)
   {
     std::size_t most = 0;
@@ -195,10 +190,10 @@ void listShares(const Model& model, bool of_pairs, std::vector<int>& begin, std:
       for (int k = 0; k < GROUP; ++k)
       {
         const std::vector<int>& slots = of_node[i + k];
-        all_slots.push_back(step < slots.size() ? slots[step] : 0);
+        model.share_slots.push_back(step < slots.size() ? slots[step] : 0);
       }
     }
-    begin.push_back(static_cast<int>(all_slots.size()) / GROUP);
+    model.share_begin.push_back(static_cast<int>(model.share_slots.size()) / GROUP);
   }
 }
 }  // namespace
@@ -325,8 +320,7 @@ Model buildModel(const TetMesh& mesh, Element element, const std::vector<Materia
   findBoundary(model);
   computeGeometry(model);
   fillBlocks(model);
-  listShares(model, true, model.share_begin, model.share_slots);
-  listShares(model, false, model.diagonal_begin, model.diagonal_slots);
+  listShares(model);
   setMaterials(model, materials);
   return model;
 }

@@ -75,8 +75,6 @@ std::unique_ptr<Model> linearModel(const Model& model, std::vector<int>& node_of
   }
   // Nobody sums up shares of it; partitions look at share_begin.
   linear->share_slots = {};
-  linear->diagonal_begin = {};
-  linear->diagonal_slots = {};
   linear->block_offsets.clear();
   for (int block = 0; block < model.num_blocks; ++block)
   {

@@ -331,7 +331,7 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
     ++sets;
     const kernels::Elements elements = elementsOf(model, bent.rotations.points);
     NodalField product(model.num_nodes), force(model.num_nodes);
-    const kernels::NodeShares lists = sharesOf(model), diagonal_lists = diagonalSharesOf(model);
+    const kernels::NodeShares lists = sharesOf(model);
     AlignedVector<double> shares(2 * kernels::SHARES * (kernels::ZERO_ROWS + model.nodes_per_tet * model.num_blocks));
     table->add_product(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2, 0.3, u.data(),
                        shares.data() + kernels::ZERO_ROWS * kernels::SHARES);
@@ -350,13 +350,13 @@ TEST_P(EveryElement, EveryInstructionSetAndThreadCountAgrees)
     std::fill(shares.begin(), shares.end(), 0.0);
     table->add_diagonal(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2, 0.3,
                         shares.data() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
-    table->sum_diagonals(diagonal_lists, 0, model.num_nodes, shares.data(), diagonal.data());
+    table->sum_diagonals(lists, 0, model.num_nodes, shares.data(), diagonal.data());
     if (diagonal_reference.empty()) diagonal_reference = diagonal;
     AlignedVector<double> single(diagonal.size(), 0.0);
     AlignedVector<float> single_shares(shares.size());
     table->add_single_diagonal(elements, 0, model.num_blocks, bent.rotations.gradients.data(), 2e-6, 0.3e-6,
                                single_shares.data() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
-    table->sum_single_diagonals(diagonal_lists, 0, model.num_nodes, single_shares.data(), 1e6, single.data());
+    table->sum_single_diagonals(lists, 0, model.num_nodes, single_shares.data(), 1e6, single.data());
     for (std::size_t k = 0; k < diagonal.size(); ++k)
     {
       ASSERT_NEAR(diagonal[k], diagonal_reference[k], 1e-13 * std::abs(diagonal_reference[k - k % 8])) << name;

@@ -340,7 +340,7 @@ TEST_P(GreenStrain, EveryInstructionSetAndThreadCountAgrees)
     std::fill(shares.begin(), shares.end(), 0.0);
     green.add_diagonal(elements, 0, larger.num_blocks, rest, t.blocks.data(), 2, 0.3,
                        shares.data() + 2 * kernels::ZERO_ROWS * kernels::SHARES);
-    table.sum_diagonals(diagonalSharesOf(larger), 0, larger.num_nodes, shares.data(), r.diagonal.data());
+    table.sum_diagonals(lists, 0, larger.num_nodes, shares.data(), r.diagonal.data());
     return r;
   };
   const auto distance = [](const NodalField& a, const NodalField& b) {

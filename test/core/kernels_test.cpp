@@ -109,7 +109,7 @@ protected:
   template <class Scalar>
   void expectFourthNumbersZero(const AlignedVector<Scalar>& shares, int rows_a_node = 1) const
   {
-    for (const int slot : rows_a_node == 1 ? model.share_slots : model.diagonal_slots)
+    for (const int slot : model.share_slots)
     {
       const Scalar* share = shares.data() + static_cast<std::ptrdiff_t>(rows_a_node) * slot;
       for (int k = 0; k < 4 * rows_a_node; ++k)
