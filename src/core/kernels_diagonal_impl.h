@@ -113,7 +113,7 @@ void addDiagonal(const Elements& elements, int begin, int end, const double* rot
           give(a, plusDiagonal(corner, corner_mass));
         });
         unrolled<6>([&](auto k) INLINED {
-          constexpr int a = ENDS[4 + k][0], b = ENDS[4 + k][1];
+          const int a = ENDS[4 + k][0], b = ENDS[4 + k][1];
           SymOf<V> edge = fifth * (h[a] + h[b] + symmetricH(g.r[a], g.r[b], lambda, mu));
           if constexpr (MEAN) edge = edge + square(quarter_mean, g.r[a] + g.r[b]);
           give(4 + k, plusDiagonal(edge, edge_mass));
