@@ -23,7 +23,7 @@ struct ElementOrder
 /**
  * Puts neighbours near each other, and most elements in pairs. Every half of the order, and of a half, lies on one side
  * of a plane across the longest extent of what is halved: at first of centroids, in small parts of the centres of
- * pairs.
+ * pairs. At the end of a part come those that are left alone, wherever they lie in it.
  */
 ElementOrder orderElements(const TetMesh& mesh);
 
